@@ -501,7 +501,6 @@ def training_composition() -> "Composition":
 def study_training() -> "Training":
     """Return how a study's runs are trained: as ``eldenet.train`` trains."""
     from eldenet.compose import compose as settings_of
-    from eldenet.results.run_record import read_run
     from eldenet.results.studies.runner import Training
     from eldenet.train import TrainSettings, train
     from eldenet.training.resume import check_finished
@@ -511,9 +510,7 @@ def study_training() -> "Training":
 
     return Training(
         lambda overrides, folder: train(settings(overrides, folder)),
-        lambda overrides, stored: check_finished(
-            stored, read_run(stored), asdict(settings(overrides, stored))
-        ),
+        lambda overrides, where, record: check_finished(where, record, asdict(settings(overrides, where))),
         training_composition(),
     )
 

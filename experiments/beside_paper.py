@@ -1,6 +1,6 @@
 """Put our stored figures beside those that the paper's prose publishes, for tables 1, 4, 5 and 6.
 
-python experiments/beside_paper.py    # reads each folder's expected.csv and results; writes beside_paper.md
+python experiments/beside_paper.py    # from beside_paper.csv and each folder's results
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -10,7 +10,7 @@ from eldenet.results.tables import to_markdown
 from eldenet.system.files import read_table
 
 HERE = Path(__file__).parent
-HEADER = ("claim", "paper", "unit", "quote")
+HEADER = ("table", "claim", "paper", "unit", "quote")
 MODELS = ("eldenet", "eldenet_paper")
 RUNTIMES = ("torch_channels_last", "onnxruntime", "openvino")
 MOBILENETS = (
@@ -27,7 +27,7 @@ Row = dict[str, str]
 
 def efficiency() -> tuple[Ours, list[str]]:
     """Ratios of our networks to others: of one 224 x 224 image, or of batches of 8 for throughput."""
-    stored = read_table(HERE / "table1_efficiency/results.csv", ())
+    stored = read_table(HERE / "table1_efficiency/benchmark.csv", ())
 
     def value(
         model: str, runtime: str, column: str, batch: str = "1", precision: str = "fp32"
@@ -93,7 +93,7 @@ def efficiency() -> tuple[Ours, list[str]]:
         "`eldenet_paper` is the paper's network as we read its prose, `eldenet` our own; the former ends "
         "in a bilateral filter at the full size, which `eldenet` does not have",
         "a dash: not measured in the same rounds",
-        "from results.csv",
+        "from table1_efficiency/benchmark.csv",
     ]
     return columns, notes
 
@@ -101,7 +101,7 @@ def efficiency() -> tuple[Ours, list[str]]:
 def centers() -> tuple[Ours, list[str]]:
     """Our two definitions of what the paper names, for three kinds of depth."""
     columns = []
-    for row in read_table(HERE / "table4_centres/results.csv", ()):
+    for row in read_table(HERE / "table4_centres/results_rows.csv", ()):
         shown = ("street: ELDE-Net", "hall: ELDE-Net", "KITTI: meter_kitti")
         if "leak" in row["2D boxes"] or row["group"] not in ("all", "vehicles"):
             continue
@@ -114,7 +114,7 @@ def centers() -> tuple[Ours, list[str]]:
     notes = [
         "the paper defines neither figure: ours are the center accuracy below results.md and BEV > 0.25",
         "brackets: 95 % intervals. 2D boxes: the simulator's, on KITTI YOLOX's; the paper's are YOLOv9's",
-        "from results.csv",
+        "from table4_centres/results_rows.csv",
     ]
     return columns, notes
 
@@ -123,26 +123,24 @@ def crossings(name: str, column: str, form: str) -> Callable[[], tuple[Ours, lis
     """A column of the navigation tables by the number of obstacles, the mean over trainings."""
 
     def made() -> tuple[Ours, list[str]]:
-        files = {f"{name}/results-500.csv": ("dqn_ensemble", "dqn", "paper_literal", "astar_dwa", "dwa")}
+        stored = [row for row in read_table(HERE / name / "tables.csv", ()) if row["table"] == "results-500"]
         columns = []
-        for file, methods in files.items():
-            stored = read_table(HERE / file, ())
-            for method in methods:
-                cells = {}
-                for course in ("5", "20", "40", "80"):
-                    values = [
-                        float(row[column])
-                        for row in stored
-                        if (row["method"], row["course"], row["sensor"]) == (method, course, "ranges")
-                    ]
-                    if values:
-                        cells[f"{course} obstacles in 400 m²"] = form.format(sum(values) / len(values))
-                if cells:
-                    columns.append((method, cells))
+        for method in ("dqn_ensemble", "dqn", "paper_literal", "astar_dwa", "dwa"):
+            cells = {}
+            for course in ("5", "20", "40", "80"):
+                values = [
+                    float(row[column])
+                    for row in stored
+                    if (row["method"], row["course"], row["sensor"]) == (method, course, "ranges")
+                ]
+                if values:
+                    cells[f"{course} obstacles in 400 m²"] = form.format(sum(values) / len(values))
+            if cells:
+                columns.append((method, cells))
         notes = [
             "the paper's table is missing from our copy of the text, which only has its setup",
             "500 test arenas, true ranges, wheels in MuJoCo; the mean over the trainings of a method",
-            "from results-500.csv",
+            f"from results-500 of {name}/tables.csv",
         ]
         return columns, notes
 
@@ -158,20 +156,21 @@ TABLES: dict[str, Callable[[], tuple[Ours, list[str]]]] = {
 
 
 def page(folder: str) -> str:
-    """Markdown of a folder's expected figures beside ours."""
+    """Markdown of the paper's figures for a folder's table beside ours."""
     columns, notes = TABLES[folder]()
     titles = ["claim", "unit", "the paper", "in its words", *(title for title, _ in columns)]
     rows = [
         [line["claim"], line["unit"], line["paper"] or "missing from our copy of the text", line["quote"]]
         + [cells.get(line["claim"], "-") for _, cells in columns]
-        for line in read_table(HERE / folder / "expected.csv", HEADER)
+        for line in read_table(HERE / "beside_paper.csv", HEADER)
+        if line["table"] == folder
     ]
-    return to_markdown(titles, rows, [*notes, "made by `python experiments/beside_paper.py`"])
+    return f"## [{folder}]({folder}/README.md)\n\n{to_markdown(titles, rows, notes)}"
 
 
 def main() -> None:
-    for folder in TABLES:
-        (HERE / folder / "beside_paper.md").write_text(page(folder))
+    head = "# Beside the paper\n\nMade by `python experiments/beside_paper.py`.\n"
+    (HERE / "beside_paper.md").write_text("\n".join([head, *map(page, TABLES)]))
 
 
 if __name__ == "__main__":

@@ -233,7 +233,7 @@ def test_security_states_the_limits_of_the_code():
     assert array_files.PIXEL_VARIABLE in limits
     for amount in (
         f"{array_files.MOST_PIXELS // 1_000_000} million pixels",
-        *(f"{most // 1_000_000} MB" for most in (files.MOST_YAML, files.MOST_JSON)),
+        *(f"{most // 1_000_000} MB" for most in (files.MOST_YAML, files.MOST_TEXT)),
         *(f"{files.MOST_VALUES:,}", f"{files.DEEPEST} levels", f"{checks.LARGEST_SIDE:,} px"),
     ):
         assert f"| {amount}" in limits, amount

@@ -109,9 +109,9 @@ def test_figures_beside_the_papers_are_those_of_the_stored_results() -> None:
     spec = importlib.util.spec_from_file_location("beside_paper", file)
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
+    written = file.with_suffix(".md").read_text()
     for folder in script.TABLES:
-        written = REPOSITORY / "experiments" / folder / "beside_paper.md"
-        assert written.read_text() == script.page(folder), f"run python {file.relative_to(REPOSITORY)}"
-        for line in script.read_table(written.with_name("expected.csv"), script.HEADER):
-            assert numbers(line["paper"].replace("-", " ")) <= NUMBERS
-            assert line["quote"]
+        assert script.page(folder) in written, f"run python {file.relative_to(REPOSITORY)}"
+    for line in script.read_table(file.with_suffix(".csv"), script.HEADER):
+        assert numbers(line["paper"].replace("-", " ")) <= NUMBERS
+        assert line["quote"]

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.evaluation.metric_names import METRICS
-from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.fingerprints import KEYS, differences, sources_of
-from eldenet.results.record_checks import ADVICE, require
+from eldenet.results.packed_runs import RUNS, read_records
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import RUN_FILE, read_record, read_run
+from eldenet.results.run_record import RUN_FILE, read_record, scored_run
 from eldenet.results.tables import (
     COLUMNS,
     CORE,
@@ -71,7 +70,7 @@ def report_runs(setup: ReportSetup) -> None:
     """Print the table of some runs and write it as Markdown, CSV and LaTeX."""
     runs = find_runs(
         setup.runs,
-        needed=("metrics.images", "constant_predictor", *(NEEDED_FOR_COSTS if setup.costs else ())),
+        needed=("metrics.images", *(NEEDED_FOR_COSTS if setup.costs else ())),
         names=setup.names,
     )
     columns = COLUMNS if setup.columns is None else setup.columns
@@ -124,12 +123,12 @@ class Row:
 def find_runs(
     sources: Sequence[str], needed: Sequence[str] = (), names: Sequence[str] = ()
 ) -> list[dict[str, Any]]:
-    """All ``run.json`` of ``train`` and ``evaluate`` below the given files and folders.
+    """All runs of ``train`` and ``evaluate`` below the given files and folders, packed ones too.
 
-    Records of other commands (a detector's training, navigation) are skipped in folders.
+    Records of other commands (navigation) are skipped in folders.
 
     Args:
-        sources: the files and folders.
+        sources: ``run.json`` or ``runs.jsonl.gz`` files, and folders.
         needed: entries that every record must have, beside those of its metrics.
         names: for the runs below each of ``sources``, instead of their own.
 
@@ -140,41 +139,31 @@ def find_runs(
     """
     if names and len(names) != len(sources):
         raise ValueError(f"names={list(names)}: give one name for each of the {len(sources)} runs=[...]")
-    files: dict[Path, str | None] = {}
+    runs: dict[str, dict[str, Any]] = {}
     given: Sequence[str | None] = names or [None] * len(sources)
     for source, name in zip(map(Path, sources), given, strict=True):
-        if not source.exists():
-            raise FileNotFoundError(f"no such file or folder: {source}")
-        below = [source] if source.is_file() else sorted(source.rglob(RUN_FILE))
-        files |= {file.resolve(): name for file in below if file == source or not _of_another_command(file)}
-    runs = {file: read_run(file) | ({} if name is None else {"model": name}) for file, name in files.items()}
+        for where, record in _records_below(source).items():
+            run = scored_run(where, record, *SAME_FOR_METRICS, *needed)
+            runs[where] = run if name is None else run | {"model": name}
     if not runs:
         raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
-    for file, run in runs.items():
-        if "protocol" not in run:
-            raise ValueError(f"{file} has no protocol: it was not written by eldenet's train or evaluate")
-        require(file, run, "model", *SAME_FOR_METRICS, "metrics", *needed)
-    return [with_every_rule(run, file) for file, run in runs.items()]
+    return list(runs.values())
 
 
-def _of_another_command(file: Path) -> bool:
-    """Whether a command that scores no depth wrote a record."""
-    record = read_record(file)
-    return "protocol" not in record and ("metrics" in record or "mode" in record)
-
-
-def with_every_rule(run: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """The run with every rule in its protocol: a rule that did not exist yet was not applied.
-
-    Raises:
-        ValueError: the protocol of the record in ``file`` cannot be.
-    """
-    rules = EvalProtocol("").as_dict() | run["protocol"]
-    try:
-        EvalProtocol(**{name: rules[name] for name in EvalProtocol("").as_dict()})
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{file}: its protocol is invalid ({error}): {ADVICE}") from error
-    return {**run, "protocol": rules}
+def _records_below(source: Path) -> dict[str, dict[str, Any]]:
+    """Records of runs by where they stand."""
+    if not source.exists():
+        raise FileNotFoundError(f"no such file or folder: {source}")
+    found: dict[str, dict[str, Any]] = {}
+    packed = [source] if source.name == RUNS else sorted(source.rglob(RUNS))
+    for file in packed:
+        records = {name: record for name, record in read_records(file).items() if "metrics" in record}
+        found |= {f"{file.resolve()}, {name}": record for name, record in records.items()}
+    for file in [source] if source.is_file() and not packed else sorted(source.rglob(RUN_FILE)):
+        record = read_record(file)
+        if source.is_file() or "protocol" in record or not {"metrics", "mode"} & record.keys():
+            found[str(file.resolve())] = record
+    return found
 
 
 def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
@@ -296,7 +285,7 @@ def constant_rows(runs: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> 
     """
     models: dict[tuple[str, ...], list[str]] = {}  # metrics -> models of the runs
     for run in runs:
-        if (constant := run["constant_predictor"]) is not None:
+        if (constant := run.get("constant_predictor")) is not None:
             shown = tuple(number(name, constant.get(name)) for name in columns)
             models.setdefault(shown, []).append(str(run["model"]))
     if len(models) == 1:

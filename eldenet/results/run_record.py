@@ -6,23 +6,26 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from eldenet.renames import renamed
-from eldenet.results.record_checks import HISTORY, RUN, check_shape
+from eldenet.evaluation.metric_names import in_range
+from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.system.errors import reading
 from eldenet.system.files import read_json
 from eldenet.system.resources import available_cores
 
 RUN_FILE = "run.json"
+ADVICE = "it was not written by eldenet's train or evaluate, or is damaged: restore it, or leave it out"
 _PACKAGES = ["eldenet", "torch", "torchvision", "numpy", "kornia", "albumentations", "opencv-python-headless"]
 _PACKAGES += ["hydra-core", "accelerate", "torchmetrics", "mujoco"]
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read the ``run.json`` of any command, with today's names.
+    """Read the ``run.json`` of any command.
 
     Raises:
         ValueError: it is not a JSON object, or holds NaN or endless nesting.
@@ -30,7 +33,7 @@ def read_record(path: Path) -> dict[str, Any]:
     content = read_json(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path} is not a JSON object: it was not written by eldenet")
-    return dict(renamed(content))
+    return content
 
 
 def read_run(path: str | Path) -> dict[str, Any]:
@@ -38,7 +41,7 @@ def read_run(path: str | Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is none.
-        ValueError: it is not JSON, has no metrics, or an entry that cannot be: a text for a number, delta1=7.
+        ValueError: it is not JSON, or has no metrics.
     """
     path = Path(path)
     path = path / RUN_FILE if path.is_dir() else path
@@ -49,10 +52,40 @@ def read_run(path: str | Path) -> dict[str, Any]:
     content = read_record(path)
     if "metrics" not in content:
         raise ValueError(f"{path} has no metrics: it was not written by eldenet's train or evaluate")
-    if "protocol" in content:  # of train and evaluate; other commands count other things
-        check_shape(path, content, RUN)
-        check_shape(path, content.get("training") or {}, HISTORY, "training")
     return content
+
+
+def check_entries(where: str | Path, record: Mapping[str, Any], *names: str) -> None:
+    """Raise ValueError, which names the file, unless a record has all these entries (``cost.params``)."""
+    for name in names:
+        node: Any = record
+        for part in name.split("."):
+            if not isinstance(node, Mapping) or part not in node:
+                raise ValueError(f"{where} has no {name}: {ADVICE}")
+            node = node[part]
+
+
+def check_figures(where: str | Path, figures: Any) -> None:
+    """Raise ValueError, which names the file, for a metric or cost that cannot be: delta1=7."""
+    for name, value in figures.items() if isinstance(figures, Mapping) else [("a figure", figures)]:
+        if not (isinstance(value, str) or in_range(name, value)):
+            raise ValueError(f"{where}: {name}={str(value)[:60]} cannot be: {ADVICE}")
+
+
+def scored_run(where: str | Path, record: Mapping[str, Any], *needed: str) -> dict[str, Any]:
+    """Return the record of a training or an evaluation for a table, with every rule in its protocol.
+
+    A rule that did not exist yet was not applied.
+
+    Raises:
+        ValueError: it lacks an entry, or has one that cannot be; the message names the file.
+    """
+    check_entries(where, record, "metrics", "protocol", "model", *needed)
+    for group in ("metrics", "cost", "constant_predictor"):
+        check_figures(where, record.get(group) or {})
+    with reading(where, "record of a run", ADVICE):
+        protocol = EvalProtocol(**record["protocol"])
+    return {**record, "protocol": protocol.as_dict()}
 
 
 def environment() -> dict[str, Any]:

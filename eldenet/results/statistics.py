@@ -1,15 +1,15 @@
 """Paired differences between two rows of a study, with bootstrap intervals."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from eldenet.evaluation.bootstrap import LIMITS, bootstrap_interval
 from eldenet.evaluation.metric_names import in_range
-from eldenet.system.files import read_table
+from eldenet.results.packed_runs import IMAGES
 
 DRAWS = 10_000
 AT_ONCE = 1000  # draws at a time, which bounds the memory
@@ -23,7 +23,7 @@ class Scores:
     Attributes:
         images: their names.
         values: ``(runs, images)``.
-        source: the file of the first run, for messages.
+        source: the row, for messages.
     """
 
     images: tuple[str, ...]
@@ -63,30 +63,27 @@ class Difference:
         return f"{self.mean:+.3f} [{self.low:+.3f}, {self.high:+.3f}] {verdict}".rstrip()
 
 
-def per_image(files: Sequence[Path], metric: str) -> Scores:
-    """``metric`` of every image in each run, from their ``per_image.csv``.
+def per_image(runs: Mapping[str, Mapping[str, Any]], metric: str) -> Scores:
+    """``metric`` of every image in each run.
+
+    Args:
+        runs: packed records by name, which messages have.
+        metric: its name.
 
     Raises:
-        ValueError: a file is damaged, or the runs scored different images.
+        ValueError: a metric is missing or cannot be, or the runs scored different images.
     """
     found: list[dict[str, float]] = []
-    for file in files:
-        found.append({})
-        for number, row in enumerate(read_table(file, ("name", metric)), 2):
-            try:
-                value = float(row[metric])
-            except ValueError:
-                value = math.inf
-            if row["name"] in found[-1] or not (math.isnan(value) or in_range(metric, value)):
-                raise ValueError(
-                    f"{file}, line {number}: {row['name']!r} with {metric}={row[metric]!r} is invalid or "
-                    "repeated: restore the file, or train or evaluate again"
-                )
-            found[-1][row["name"]] = value
+    for name, run in runs.items():
+        columns = run.get(IMAGES, {})
+        names, values = columns.get("name", []), columns.get(metric, [])
+        if not names or len(names) != len(values) or not all(in_range(metric, value) for value in values):
+            raise ValueError(f"{name} has no {metric} of each of its images: train again")
+        found.append({key: math.nan if v is None else v for key, v in zip(names, values, strict=True)})
         if found[-1].keys() != found[0].keys():
-            raise ValueError(f"{file} and {files[0]} scored different images and can't be paired")
+            raise ValueError(f"{name} and {next(iter(runs))} scored different images and can't be paired")
     images = tuple(sorted(found[0]))
-    return Scores(images, np.array([[values[name] for name in images] for values in found]), str(files[0]))
+    return Scores(images, np.array([[row[image] for image in images] for row in found]), next(iter(runs)))
 
 
 def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[float, float, float]:

@@ -1,6 +1,7 @@
 """Files that appear whole: written beside their place first, then renamed."""
 
 import csv
+import gzip
 import json
 import math
 import os
@@ -10,13 +11,14 @@ import shutil
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
 from eldenet.system.errors import writing
 from eldenet.system.escaping import csv_cell
 
-MOST_YAML, MOST_JSON = 1_000_000, 100_000_000  # bytes
+MOST_YAML, MOST_TEXT = 1_000_000, 100_000_000  # bytes; of a compressed file, those that it holds
 DEEPEST = 50  # levels of a JSON file: far more than a record has, far fewer than Python can follow
 LOCK = ".lock"
 
@@ -117,8 +119,28 @@ def write_bytes(path: Path, content: bytes | memoryview) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file (UTF-8); it appears whole."""
-    write_bytes(path, text.encode())
+    """Write a text file (UTF-8), compressed where its name ends with ``.gz``; it appears whole."""
+    content = text.encode()
+    write_bytes(path, gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
+
+
+def read_text(path: Path, most: int = MOST_TEXT) -> str:
+    """Return the text of a file (UTF-8), which is compressed where its name ends with ``.gz``.
+
+    Raises:
+        ValueError: it is damaged, no text, or longer than ``most`` bytes.
+    """
+    if path.stat().st_size <= most:
+        content = path.read_bytes()
+        if path.suffix == ".gz":
+            try:
+                with gzip.open(BytesIO(content)) as packed:
+                    content = packed.read(most + 1)
+            except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+                raise ValueError(f"it is cut or damaged: {error}") from error
+        if len(content) <= most:
+            return content.decode()
+    raise ValueError(f"it has more than the {most // 1_000_000} MB allowed")
 
 
 def safe_stem(name: str) -> str:
@@ -163,10 +185,11 @@ def displayed(path: Path) -> Path:
 
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a CSV file; a text that a spreadsheet would run as a formula starts with an apostrophe there."""
-    with part_file(path) as unfinished, unfinished.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        for row in (header, *rows):
-            writer.writerow([csv_cell(cell) if isinstance(cell, str) else cell for cell in row])
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for row in (header, *rows):
+        writer.writerow([csv_cell(cell) if isinstance(cell, str) else cell for cell in row])
+    write_text(path, text.getvalue())
 
 
 def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
@@ -176,10 +199,9 @@ def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
         ValueError: it is not text, lacks one of ``columns``, or has a row with more or fewer cells.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as lines:
-            reader = csv.DictReader(lines, strict=True)
-            rows, header = list(reader), list(reader.fieldnames or ())
-    except (UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(StringIO(read_text(path), newline=""), strict=True)
+        rows, header = list(reader), list(reader.fieldnames or ())
+    except (ValueError, csv.Error) as error:
         raise ValueError(f"{path} is not a CSV file ({error}): restore it, or make it again") from error
     missing = [name for name in columns if name not in header]
     if missing:
@@ -208,17 +230,17 @@ def read_yaml(path: Path) -> Any:
     import yaml
 
     with _readable(path, "YAML", yaml.YAMLError):
-        return yaml.safe_load(_text(path, MOST_YAML))
+        return yaml.safe_load(read_text(path, MOST_YAML))
 
 
 def read_json(path: Path) -> Any:
     """Return the plain values of a JSON file.
 
     Raises:
-        ValueError: the file is missing, not JSON, larger than :data:`MOST_JSON` or nested too deep.
+        ValueError: the file is missing, not JSON, larger than :data:`MOST_TEXT` or nested too deep.
     """
     with _readable(path, "JSON"):
-        return _json(_text(path, MOST_JSON))
+        return _json(read_text(path))
 
 
 def parse_json(text: str, source: object) -> Any:
@@ -239,13 +261,6 @@ def _readable(source: object, kind: str, *errors: type[Exception]) -> Iterator[N
         too_deep = isinstance(error, RecursionError)
         reason = "it is nested too deep" if too_deep else " ".join(str(error).split())[:300]
         raise ValueError(f"{source} can't be read as {kind}: {reason}") from error
-
-
-def _text(path: Path, most: int) -> str:
-    size = path.stat().st_size
-    if size > most:
-        raise ValueError(f"it has {size / 1e6:.1f} MB, more than the {most // 1_000_000} MB allowed")
-    return path.read_text(encoding="utf-8")
 
 
 def _json(text: str) -> Any:

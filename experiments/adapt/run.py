@@ -28,6 +28,7 @@ from eldenet.deploy.predictor import DepthPredictor, for_camera  # noqa: E402
 from eldenet.geometry import PinholeCamera, pinhole  # noqa: E402
 from eldenet.perception.camera_height import FREE_SLOPE  # noqa: E402
 from eldenet.perception.ground import fit_ground  # noqa: E402
+from eldenet.results.plots import save_figure  # noqa: E402
 from eldenet.results.run_record import RUN_FILE, environment, read_record  # noqa: E402
 from eldenet.system.files import read_table  # noqa: E402
 
@@ -38,9 +39,20 @@ EPOCHS = dict.fromkeys((*CAMERAS, *REAL), 6) | {"tum_fr3_cabinet": 12}  # it has
 TIMES = 10  # as much training is what a trial is compared with
 LONG = ("hololens_office", "robot_wide", "hand_wide")  # places with ten times the training
 DEPTH, HEIGHT = "depth_frames.csv", "camera_height.csv"
-DEPTH_HEADER = ["place", "block", "seed", "epochs", "frames", "kept", "report_frames", "abs_rel_before"]
+DEPTH_HEADER = [
+    "weights",
+    "place",
+    "block",
+    "seed",
+    "epochs",
+    "frames",
+    "kept",
+    "report_frames",
+    "abs_rel_before",
+]
 DEPTH_HEADER += ["abs_rel_after", "delta1_before", "delta1_after"]
 HEIGHT_HEADER = [
+    "weights",
     "place",
     "block",
     "pitch",
@@ -106,7 +118,7 @@ def adapted(weights: str, place: str, block: int, seed: int, epochs: int) -> lis
         print(error)
         kept, after = "refused", before
     figures = [f"{value:.4f}" for value in (before[0], after[0], before[1], after[1])]
-    return [place, block, seed, epochs, len(mine), kept, len(report), *figures]
+    return [weights, place, block, seed, epochs, len(mine), kept, len(report), *figures]
 
 
 def measured_height(place: Path, names: list[str], camera: tuple[float, ...]) -> float:
@@ -151,6 +163,7 @@ def calibrated(weights: str, place: str, block: int, *, pitch: bool) -> list[obj
         new, old = eldenet.load(run).head.max_depth, eldenet.load(weights).head.max_depth
         scale = f"{new / old:.4f}"
     return [
+        weights,
         place,
         block,
         "given" if pitch else "fitted",
@@ -162,9 +175,10 @@ def calibrated(weights: str, place: str, block: int, *, pitch: bool) -> list[obj
     ]
 
 
-def rows_of(path: Path, header: list[str]) -> list[dict[str, str]]:
-    """Return the rows that are written already."""
-    return read_table(path, header) if path.is_file() else []
+def rows_of(weights: str, path: Path, header: list[str]) -> list[dict[str, str]]:
+    """Return the rows of these weights that are written already."""
+    rows = read_table(path, header) if path.is_file() else []
+    return [row for row in rows if row["weights"] == weights]
 
 
 def append(path: Path, header: list[str], row: list[object]) -> None:
@@ -181,7 +195,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("weights", nargs="?", default="eldenet_indoor", help="packaged weights to start from")
     weights = parser.parse_args().weights
-    (HERE / weights).mkdir(exist_ok=True)
     torch.set_num_threads(1)
     all_heights(weights)
     all_depths(weights)
@@ -190,8 +203,8 @@ def main() -> None:
 
 def all_heights(weights: str) -> None:
     """Run what ``camera_height.csv`` lacks."""
-    table = HERE / weights / HEIGHT
-    done = {(r["place"], r["block"], r["pitch"]) for r in rows_of(table, HEIGHT_HEADER)}
+    table = HERE / HEIGHT
+    done = {(r["place"], r["block"], r["pitch"]) for r in rows_of(weights, table, HEIGHT_HEADER)}
     for pitch, places in ((True, CAMERAS), (False, {**CAMERAS, **REAL})):
         for block in (0, 2):
             for place in places:
@@ -201,8 +214,8 @@ def all_heights(weights: str) -> None:
 
 def all_depths(weights: str) -> None:
     """Run what ``depth_frames.csv`` lacks."""
-    table = HERE / weights / DEPTH
-    done = {(r["place"], r["block"], r["seed"], r["epochs"]) for r in rows_of(table, DEPTH_HEADER)}
+    table = HERE / DEPTH
+    done = {(r["place"], r["block"], r["seed"], r["epochs"]) for r in rows_of(weights, table, DEPTH_HEADER)}
     trials = [(place, 3, 0, EPOCHS[place]) for place in CAMERAS]
     for seed in range(2):
         trials += [(place, block, seed, EPOCHS[place]) for place in REAL for block in range(4)]
@@ -213,9 +226,11 @@ def all_depths(weights: str) -> None:
 
 
 def write_page(weights: str) -> None:
-    """Write ``results.md`` and ``plot.png`` from the two tables."""
-    folder = HERE / weights
-    depth, height = rows_of(folder / DEPTH, DEPTH_HEADER), rows_of(folder / HEIGHT, HEIGHT_HEADER)
+    """Write ``<weights>.md`` and ``<weights>.png`` from the two tables."""
+    depth, height = (
+        rows_of(weights, HERE / name, header)
+        for name, header in ((DEPTH, DEPTH_HEADER), (HEIGHT, HEIGHT_HEADER))
+    )
     trials = [row for row in depth if row["epochs"] == str(EPOCHS[row["place"]])]
     longer = {row["place"]: row for row in depth if row not in trials}
     where = environment()
@@ -230,9 +245,9 @@ def write_page(weights: str) -> None:
     ]
     for place in dict.fromkeys(row["place"] for row in trials):
         mine = [row for row in trials if row["place"] == place]
-        mean = {name: np.mean([float(row[name]) for row in mine]) for name in DEPTH_HEADER[7:]}
+        mean = {name: np.mean([float(row[name]) for row in mine]) for name in DEPTH_HEADER[8:]}
         kept = sum(row["kept"] not in ("no", "refused") for row in mine)
-        cells = " | ".join(f"{mean[name]:.3f}" for name in DEPTH_HEADER[7:])
+        cells = " | ".join(f"{mean[name]:.3f}" for name in DEPTH_HEADER[8:])
         lines.append(f"| {place} | {len(mine)} | {kept} | {sum(map(worse, mine))} | {cells} |")
     count = sum(map(worse, trials))
     lines += [
@@ -283,8 +298,8 @@ def write_page(weights: str) -> None:
         if kept.any():
             lines[-1] += f" Of those kept: {np.median(old[kept]):.3f} to {np.median(new[kept]):.3f}."
     lines += ["", f"Made by `python experiments/adapt/run.py {weights}`."]
-    (folder / "results.md").write_text("\n".join(lines) + "\n")
-    plot(trials, height, folder / "plot.png")
+    (HERE / f"{weights}.md").write_text("\n".join(lines) + "\n")
+    plot(trials, height, HERE / f"{weights}.png")
 
 
 def worse(row: dict[str, str]) -> bool:
@@ -310,7 +325,7 @@ def plot(trials: list[dict[str, str]], height: list[dict[str, str]], path: Path)
         ax.plot([0, top], [0, top], color="0.6", lw=1)
         ax.set(title=title, xlabel="before", ylabel="after", xlim=(0, top), ylim=(0, top))
     axes[0].legend(fontsize=8)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,6 @@ from eldenet.data.loaders import EpochSampler, _quiet_worker, training_loader  #
 from eldenet.data.nyu import NYULabelled  # noqa: E402
 from eldenet.data.transforms import Augmentation  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import write_rows  # noqa: E402
 from eldenet.system.resources import choose_resources  # noqa: E402
 
 HERE = Path(__file__).parent
@@ -172,7 +171,6 @@ def main() -> None:
         os.environ["ELDENET_CACHE"] = folder
         rows = measure(0) + measure(max(1, resources.workers))
         waited = {cache: waits(cache) for cache in ("none", "disk", "ram")}
-    write_rows(HERE / "results.csv", FIELDS, [list(row.values()) for row in rows])
     lines = [
         f"{where['hardware']['processor']}, {resources.cores} hardware threads, {resources.threads} of them "
         f"torch's, {where['date']}; versions {json.dumps(where['versions'])}.",
@@ -199,23 +197,7 @@ def main() -> None:
             lines.append(f"| {cache} | {number} | {wait:.2f} | {step:.1f} | {wait / step:.1%} |")
     lines += ["", "Made by `python experiments/data_throughput/run.py`."]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
-    draw(rows)
     print("\n".join(lines))
-
-
-def draw(rows: list[dict[str, object]]) -> None:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 3), layout="constrained")
-    axes = figure.subplots()
-    labels = [f"{r['loader']}, {r['workers']} workers" for r in rows]
-    rates = [float(str(r["images_per_s"])) for r in rows]
-    bars = axes.barh(labels, rates, color=["#999999" if "torch" in label else "#3b6ea5" for label in labels])
-    axes.bar_label(bars, fmt="%.0f", padding=3)
-    axes.invert_yaxis()
-    axes.set_xlabel(f"images/s, {SIZE[0]} x {SIZE[1]}, full augmentation")
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(HERE / "results.png", dpi=120)
 
 
 if __name__ == "__main__":

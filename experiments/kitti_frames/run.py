@@ -1,7 +1,7 @@
 """Score depth networks on a few real KITTI frames, unaligned and median-aligned.
 
 ``python experiments/kitti_frames/run.py meter_xxs_kitti=meter_xxs_kitti.pth eldenet_streets=runs/streets``
-scores these weights and a constant predictor, puts their frames into ``results.csv`` and writes
+scores these weights and a constant predictor, puts their frames into ``frames.csv`` and writes
 ``results.md`` from it; without arguments it only writes ``results.md``. Weights are anything that
 :func:`eldenet.load` opens, or a ``.pth`` file of METER-XXS's published KITTI weights. Frames are those of
 ``$ELDENET_DATA/kitti``.
@@ -28,7 +28,7 @@ from eldenet.results.tables import to_markdown
 from eldenet.system.files import read_table, write_rows
 
 HERE = Path(__file__).parent
-STORED = HERE / "results.csv"
+STORED = HERE / "frames.csv"
 FIGURES = ("abs_rel", "rmse", "delta1")
 COLUMNS = ("weights", "set", "scale", "frame", *FIGURES)
 CONSTANT = "constant"

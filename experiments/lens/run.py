@@ -27,9 +27,9 @@ from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
 from eldenet.evaluation.splits import chosen_protocol, open_split  # noqa: E402
 from eldenet.geometry import crop_intrinsics, pinhole  # noqa: E402
-from eldenet.results.plots import pyplot_for_files  # noqa: E402
+from eldenet.results.plots import pyplot_for_files, save_figure  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import part_file, read_table, write_rows  # noqa: E402
+from eldenet.system.files import read_table, write_rows  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
 from eldenet.train import TrainSettings  # noqa: E402
 from eldenet.types import Frame  # noqa: E402
@@ -216,20 +216,21 @@ def draw(rows: list[Row], path: Path) -> None:
         panels[1][column].set_xticks(FACTORS, [f"{factor:g}x" for factor in FACTORS])
         panels[1][column].set_xlabel("lens")
     panels[0][0].legend(fontsize=7)
-    with part_file(path) as unfinished:
-        figure.savefig(unfinished, dpi=120, metadata={"Software": None})
-    pyplot.close(figure)
+    save_figure(figure, path)
 
 
-def write_csv(rows: list[Row], path: Path) -> None:
-    """One line per network, place, factor and camera."""
+def write_csv(rows: list[Row], output: Path) -> None:
+    """Write one line per network, place, factor and camera into ``figures.csv``, which has all tables."""
     names = ("delta1", "delta1_whole", "abs_rel", "abs_rel_whole")
-    lines = []
+    columns = ["table", "weights", "place", "factor", "focal_length", "frames", *names]
+    path = output.with_name("figures.csv")
+    stored = [list(line.values()) for line in read_table(path, columns)] if path.is_file() else []
+    lines: list[list[object]] = [line for line in stored if line[0] != output.name]
     for row in rows:
         crop, whole = row.crop.mean(axis=0), row.whole.mean(axis=0)
         figures = [f"{value:.4f}" for value in (crop[0], whole[0], crop[1], whole[1])]
-        lines.append([row.weights, row.place, row.factor, row.camera, len(row.crop), *figures])
-    write_rows(path, ["weights", "place", "factor", "focal_length", "frames", *names], lines)
+        lines.append([output.name, row.weights, row.place, row.factor, row.camera, len(row.crop), *figures])
+    write_rows(path, columns, lines)
 
 
 def main() -> None:
@@ -239,7 +240,12 @@ def main() -> None:
     options.add_argument("--frames", type=int, help="frames per place; all unless given")
     options.add_argument("--part", default="val", help="of NYU: val, or dev to choose a recipe on")
     options.add_argument("--places", nargs="+", default=PLACES, help="some of the places")
-    options.add_argument("--output", type=Path, default=HERE / "results", help="without an ending")
+    options.add_argument(
+        "--output",
+        type=Path,
+        default=HERE / "results",
+        help="name of the table and the plot, without an ending",
+    )
     given = options.parse_args()
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
@@ -266,7 +272,7 @@ def main() -> None:
     ]
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.with_suffix(".md").write_text("\n".join(lines) + "\n")
-    write_csv(rows, given.output.with_suffix(".csv"))
+    write_csv(rows, given.output)
     draw(rows, given.output.with_suffix(".png"))
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.stats import t
 
 from eldenet.config import training_composition
-from eldenet.results.run_record import read_run
 from eldenet.results.studies.plan import Study, StudyRow, read_study
 from eldenet.results.tables import to_markdown
 
@@ -37,7 +36,7 @@ def effects(study: Study) -> dict[str, dict[str, float]]:
     balanced, so the other changes cancel, except for interactions of two changes.
     """
     rows = designed(study)
-    runs = {row.name: read_run(study.stored(row, 0))["metrics"] for row in rows}
+    runs = {row.name: study.stored(row, 0)["metrics"] for row in rows}
     with_it = {
         name: [row.name for row in rows if override in row.overrides] for name, override in CHANGES.items()
     }
@@ -55,7 +54,7 @@ def designed(study: Study) -> list[StudyRow]:
 
 def predicted(study: Study, row: StudyRow, found: dict[str, dict[str, float]], metric: str) -> float:
     """Return ``metric`` of another row if effects add up: the mean plus or minus half of each effect."""
-    mean = np.mean([read_run(study.stored(one, 0))["metrics"][metric] for one in designed(study)])
+    mean = np.mean([study.stored(one, 0)["metrics"][metric] for one in designed(study)])
     signs = {name: 1 if override in row.overrides else -1 for name, override in CHANGES.items()}
     return float(mean + sum(sign * found[name][metric] / 2 for name, sign in signs.items()))
 

@@ -1,7 +1,7 @@
 """Differences between two trainings, frame by frame, with 95 % bootstrap intervals.
 
-``python experiments/renders/paired.py val detail today`` reads ``val_detail.csv`` and ``val_today.csv`` of
-``score.py``.
+``python experiments/renders/paired.py val detail today`` reads the frames of ``val`` that ``score.py``
+stored.
 """
 
 import sys
@@ -17,8 +17,9 @@ METRICS = ("delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned
 
 def read(split: str, name: str) -> dict[str, list[float]]:
     """Return the metrics of each frame."""
-    rows = read_table(Path(__file__).with_name(f"{split}_{name}.csv"), ["name", *METRICS])
-    return {row["name"]: [float(row[metric]) for metric in METRICS] for row in rows}
+    rows = read_table(Path(__file__).with_name("frames.csv.gz"), ["weights", "split", "name", *METRICS])
+    mine = [row for row in rows if (row["weights"], row["split"]) == (name, split)]
+    return {row["name"]: [float(row[metric]) for metric in METRICS] for row in mine}
 
 
 def main(split: str, ours: str, theirs: str) -> None:

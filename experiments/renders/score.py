@@ -1,7 +1,7 @@
 """Scores weights that saw no real frame on real ones: NYU's, and those of two other cameras.
 
 ``python experiments/renders/score.py dev today=runs/today detail=runs/detail`` measures these run folders on
-NYU's frames of split ``dev``, puts their rows into ``results.csv`` and prints the table. ``val`` are the 130
+NYU's frames of split ``dev``, puts their rows into ``scores.csv`` and prints the table. ``val`` are the 130
 frames of other scenes, for the end; ``cameras`` are the places of ``$ELDENET_DATA/other_cameras``.
 """
 
@@ -19,14 +19,16 @@ from eldenet.system.files import read_table, write_rows
 from eldenet.train import TrainSettings
 
 HERE = Path(__file__).parent
-STORED = HERE / "results.csv"
+STORED = HERE / "scores.csv"
+FRAMES = HERE / "frames.csv.gz"
 COLUMNS = ("weights", "frames", "delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
+FRAME_COLUMNS = ("weights", "split", "name", *COLUMNS[2:])
 
 
 def score(name: str, source: str, split: str) -> list[float]:
     """Return delta1 and AbsRel on NYU's frames of a split, unaligned, then median-aligned.
 
-    Those of each frame go into ``<split>_<name>.csv``, for ``paired.py``.
+    Those of each frame go into ``frames.csv.gz``, for ``paired.py``.
     """
     model = eldenet.load(source)
     size = list(model.info["input_size"])
@@ -35,14 +37,16 @@ def score(name: str, source: str, split: str) -> list[float]:
     )
     protocol = chosen_protocol(config.data, config.protocol)
     frames, found = open_split(config.data, "val", protocol), []
-    per_frame = [[frame] for frame in frames.names]
+    per_frame = [[name, split, frame] for frame in frames.names]
     columns = [PER_IMAGE_HEADER.index(metric) for metric in ("delta1", "abs_rel")]
     for scale in ("metric", "median"):
         result = evaluate(model, frames, replace(protocol, scale=scale), device=torch.device("cpu"))
         found += [result.metrics["delta1"], result.metrics["abs_rel"]]
         for cells, row in zip(per_frame, result.rows, strict=True):
             cells += [f"{row[column]:.4f}" for column in columns]
-    write_rows(HERE / f"{split}_{name}.csv", ("name", *COLUMNS[2:]), per_frame)
+    stored = [list(row.values()) for row in read_table(FRAMES, FRAME_COLUMNS)] if FRAMES.exists() else []
+    others = [row for row in stored if row[:2] != [name, split]]
+    write_rows(FRAMES, FRAME_COLUMNS, others + per_frame)
     return found
 
 

@@ -1,15 +1,14 @@
 """Images per second of CPU time, without and with ``detail``.
 
-``python experiments/renders/speed.py`` writes ``speed.csv``. CPU time, so that a busy machine matters less.
+``python experiments/renders/speed.py`` prints a table. CPU time, so that a busy machine matters less.
 """
 
 import time
-from pathlib import Path
 
+from eldenet.results.tables import to_markdown
 from eldenet.simulation.arena_view import render_arena
 from eldenet.simulation.furnished_rooms.render import render_room
 from eldenet.simulation.street_views import render_streets
-from eldenet.system.files import write_rows
 
 RENDERERS = {
     "rooms": (render_room, (96, 128)),
@@ -31,9 +30,7 @@ def main() -> None:
                 seconds[detail] += (time.process_time() - start) * (index >= 0)
         plain, detailed = (SCENES * VIEWS / spent for spent in seconds.values())
         rows.append([name, f"{size[0]}x{size[1]}", f"{plain:.0f}", f"{detailed:.0f}"])
-        print(rows[-1])
-    header = ("data", "size", "images_per_cpu_second", "with_detail")
-    write_rows(Path(__file__).with_name("speed.csv"), header, rows)
+    print(to_markdown(("data", "size", "images per CPU second", "with detail"), rows, []))
 
 
 if __name__ == "__main__":

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from eldenet.data.base import DepthDataset
 from eldenet.data.nyu import NYULabelled
 from eldenet.data.rooms import Rooms
-from eldenet.visualization import color_depth, stack_rows, write_picture
+from eldenet.visualization import color_depth, stack_rows
 
 HERE = Path(__file__).parent
 COLUMNS = ("p5", "median", "p95", "frame_median", "frame_median_std", "frame_range", "gradient")
@@ -133,10 +134,10 @@ def main() -> None:
         "256 frames each, evenly spaced. Gradient: mean relative depth difference over 1/40 of the width.",
         "Made by `python experiments/rooms_beside_nyu/run.py`.",
         "",
-        "![test rooms, image over depth](rooms.png)",
+        "![test rooms, image over depth](rooms.jpg)",
     ]
     (HERE / "results.md").write_text("\n".join(lines) + "\n")
-    write_picture(HERE / "rooms.png", contact_sheet(rooms))
+    Image.fromarray(contact_sheet(rooms)).save(HERE / "rooms.jpg", quality=90)
     print("\n".join(lines))
 
 

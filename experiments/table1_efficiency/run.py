@@ -50,7 +50,7 @@ def write(tables: dict[str, list[dict]], missing: list[str], no_code: list[str],
     notes += [f"no code identified, so no figures: {', '.join(no_code)}"]
     notes += [f"not in this version: {', '.join(missing)}"] if missing else []
     lines = [[key[0], *(row[name] for name in COLUMNS)] for key, row in every.items()]
-    write_rows(folder / "results.csv", ["part", *COLUMNS], lines)
+    write_rows(folder / "benchmark.csv", ["part", *COLUMNS], lines)
     markdown, latex = [], []
     for number, (name, rows) in enumerate(tables.items(), 1):
         cells = [[text_of(column, row[column]) for column in COLUMNS] for row in rows]

@@ -3,7 +3,7 @@
 python experiments/table4_centres/defaults.py --sim-model runs/streets-depth
 
 Streets and crossings alternate; 2D boxes are shaken as a detector's are. Vehicles, and people with cyclists,
-are counted apart. Writes ``defaults.csv`` and ``defaults.md``. No real frame is used.
+are counted apart. Writes ``defaults.md``. No real frame is used.
 """
 
 import argparse
@@ -22,7 +22,6 @@ from eldenet.deploy.predictor import DepthPredictor
 from eldenet.perception.lifter import DOUBTFUL_COST, NETWORK_SIGMA, SENSOR_SIGMA, BoxLifter
 from eldenet.perception.matching_metrics import Pairs, compare
 from eldenet.simulation.street_views import StreetView
-from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
 FIRST_SCENE = 40000  # beyond the scenes that networks are trained on
@@ -33,10 +32,6 @@ GRID = {
 }
 WRONG = 0.2  # of the distance: a center farther off is wrong
 COSTS = (3.0, 4.0, 6.0, 8.0, 12.0)
-COLUMNS = (
-    "depth", "method", "depth_sigma", "small_sigma", "objects", "accuracy", "bev_25", "3d_50",
-    "small_objects", "small_accuracy", "small_bev_25", "small_3d_50", "doubtful", "scenes", "command",
-)  # fmt: skip
 
 
 def main() -> None:
@@ -125,7 +120,6 @@ def write(rows: list[list], flags: list[list], scenes: int) -> None:
     command = "python experiments/table4_centres/defaults.py " + " ".join(
         Path(word).name if "/" in word else word for word in sys.argv[1:]
     )
-    write_rows(HERE / "defaults.csv", COLUMNS, [[*row, scenes, command.strip()] for row in rows])
     titles = ("depth", "method", "depth_sigma", "small_sigma", "vehicles", "center accuracy [%]",
               "BEV > 0.25 [%]", "3D > 0.5 [%]", "people, cyclists", "center accuracy [%]", "BEV > 0.25 [%]",
               "3D > 0.5 [%]",

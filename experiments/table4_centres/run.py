@@ -73,7 +73,7 @@ def main() -> None:
     ]  # fmt: skip
     args.output.parent.mkdir(parents=True, exist_ok=True)
     args.output.with_suffix(".md").write_text("\n".join(text) + "\n")
-    write_rows(args.output.with_suffix(".csv"), COLUMNS, rows)
+    write_rows(args.output.with_name(f"{args.output.name}_rows.csv"), COLUMNS, rows)
     print("\n".join(text))
 
 

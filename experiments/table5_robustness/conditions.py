@@ -135,7 +135,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser.add_argument("--conditions", default=";".join(CONDITIONS), help="separated by semicolons")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    stored = read(folder / "conditions.csv")
+    stored = read(folder / "conditions.csv.gz")
     for name in args.conditions.split(";"):
         condition = CONDITIONS[name]
         arenas = frozen_arenas(condition.density, args.worlds, kind=condition.kind)
@@ -174,7 +174,7 @@ def read(file: Path) -> Rows:
 
 
 def write(folder: Path, rows: Rows) -> None:
-    """Write every episode to ``conditions.csv`` and the table to ``conditions.md``."""
+    """Write every episode to ``conditions.csv.gz`` and the table to ``conditions.md``."""
     made = {
         (method, name): rows[method, name]
         for name in CONDITIONS
@@ -182,7 +182,7 @@ def write(folder: Path, rows: Rows) -> None:
         if rows.get((method, name))
     }
     labeled = {(*key, made_with(*key)): episodes for key, episodes in made.items()}
-    write_episodes(folder / "conditions.csv", LABELS, labeled)
+    write_episodes(folder / "conditions.csv.gz", LABELS, labeled)
     text = [
         "# Rooms, traps, delay, wrong distances and other robots",
         "",

@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     if not args.stored:
         conditions.main(["--worlds", str(args.worlds)], folder)
         faults.main(["--worlds", str(args.worlds)], folder)
-    write(folder, conditions.read(folder / "conditions.csv"), faults.read(folder / "results.csv"))
+    write(folder, conditions.read(folder / "conditions.csv.gz"), faults.read(folder / "results.csv.gz"))
 
 
 def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
@@ -55,8 +55,8 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
         f"|---|{'---:|' * (len(HEAD) - 1)}",
         *lines,
         "",
-        "Made by `python experiments/table5_robustness/table.py --stored` of `conditions.csv` and "
-        "`results.csv`.",
+        "Made by `python experiments/table5_robustness/table.py --stored` of `conditions.csv.gz` and "
+        "`results.csv.gz`.",
     ]
     (folder / "table.md").write_text("\n".join(text) + "\n")
 

@@ -11,6 +11,7 @@ from methods import LEARNED, PLANNERS, VARIANTS
 from rows import Row, course_name
 
 from eldenet.navigation.episodes import GOALS
+from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
 COURSES = ((5, 0), (20, 0), (40, 0), (80, 0), (20, 10))  # standing obstacles, walking people
@@ -37,39 +38,53 @@ def arguments(
     parser.add_argument("--depth", help=f"depth network of camera and objects: folder or file; or {TRUTH}")
     parser.add_argument("--detector", help=f"detector of objects: an .onnx file; or {TRUTH}, an ideal one")
     parser.add_argument("--errors", default="packaged", help="range_errors.json of noisy")
-    parser.add_argument("--out", help="name of the table's files (default: results-<worlds>)")
+    parser.add_argument("--out", help="name of the table (default: results-<worlds>)")
+    parser.add_argument("--figure", action="store_true", help="draw the table too, as <name>.png")
     parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="folder of trainings")
     parser.add_argument("--rows", type=Path, default=HERE / "rows", help="folder of rows")
     return parser.parse_args()
 
 
 def results_name(args: Namespace) -> str:
-    """Return the name of a table's files, without their endings."""
+    """Return the name of a table, and of its files without their endings."""
     goal = "" if args.goal == "known" else f"-goal-{args.goal}"
     return str(args.out or f"results-{args.worlds}{goal}")
 
 
-def refuse_to_drop(path: Path, asked: Iterable[Sequence[str]]) -> None:
+def tables_of(path: Path) -> list[list[str]]:
+    """Return the rows of a CSV of tables, whose first column names the table; none without the file."""
+    if not path.is_file():
+        return []
+    with path.open() as file:
+        return list(csv.reader(file))[1:]
+
+
+def refuse_to_drop(path: Path, name: str, asked: Iterable[Sequence[str]]) -> None:
     """Refuse to replace a table by a part of it.
 
     Args:
-        path: the table's CSV.
+        path: CSV of the tables.
+        name: of the table.
         asked: first columns of every row that the command will write.
 
     Raises:
-        ValueError: the file holds rows that the command will not write.
+        ValueError: the table holds rows that the command will not write.
     """
-    if not path.is_file():
-        return
     asked = {tuple(row) for row in asked}
     width = len(next(iter(asked)))
-    with path.open() as file:
-        dropped = [row for row in list(csv.reader(file))[1:] if tuple(row[:width]) not in asked]
+    mine = [row[1:] for row in tables_of(path) if row[0] == name]
+    dropped = [row for row in mine if tuple(row[:width]) not in asked]
     if dropped:
         raise ValueError(
-            f"{path} holds {len(dropped)} rows that this command does not ask for, such as "
+            f"{path} holds {len(dropped)} rows of {name} that this command does not ask for, such as "
             f"{', '.join(dropped[0][:width])}: ask for them too (stored rows are read), or give --out"
         )
+
+
+def write_table(path: Path, name: str, columns: Sequence[str], cells: Sequence[Sequence[Any]]) -> None:
+    """Write the rows of a table into a CSV of tables; those of other tables stay."""
+    others = [row for row in tables_of(path) if row[0] != name]
+    write_rows(path, ["table", *columns], [*others, *([name, *row] for row in cells)])
 
 
 def without_nan(row: Sequence[Any]) -> list[Any]:

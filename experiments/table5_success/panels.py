@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from eldenet.results.plots import save_figure
+
 Panel = tuple[str, str]  # physics, sensor
 Points = Sequence[Sequence[float]]  # obstacles, value and, if there is one, its interval: low, high
 COLUMNS = 3  # of panels
@@ -65,7 +67,7 @@ def draw_panels(
         row[0].set_ylabel(ylabel)
     shown = [method for method in methods if method in lines]
     figure.legend([lines[method] for method in shown], shown, fontsize=8, loc="outside right center")
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path)
 
 
 def shift(place: int, methods: int) -> float:

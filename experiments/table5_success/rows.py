@@ -1,20 +1,18 @@
 """One row of the navigation tables: a method on one course. Its episodes are crossed once and stored.
 
-``rows/<method>.csv`` holds an episode a line, ``rows/<method>.json`` what each row of them was made with.
+``rows/episodes.csv.gz`` holds an episode a line, ``rows/notes.json`` what each row of them was made with.
 """
 
-import fcntl
 import functools
-import os
-import shutil
 import time
+import zipfile
 from argparse import Namespace
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock
 from inputs import digest, input_hashes, make_sensor, trained_policy
 from methods import LEARNED, PLANNERS
 
@@ -28,12 +26,15 @@ from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import EPISODE_VERSION
 from eldenet.navigation.tasks import frozen_arenas
+from eldenet.navigation.training import POLICY, RECORD
+from eldenet.results.packed_runs import file_state
 from eldenet.results.run_record import environment
 from eldenet.simulation.arenas import Arena, arenas_hash
-from eldenet.system.files import read_json, write_json
+from eldenet.system.files import LOCK, part_file, read_json, write_json
 
 HERE = Path(__file__).parent
-LABELS = ("sensor", "goal", "physics", "course", "worlds", "seed")  # columns that name a row of a method
+EPISODES, NOTES = "episodes.csv.gz", "notes.json"
+LABELS = ("method", "sensor", "goal", "physics", "course", "worlds", "seed")  # columns that name a row
 
 
 @dataclass(frozen=True)
@@ -69,17 +70,12 @@ class Row:
     def labels(self) -> tuple[str, ...]:
         """Values of the columns ``LABELS``."""
         seed = "" if self.seed is None else str(self.seed)
-        return (self.sensor, self.goal, self.physics, self.course, str(self.worlds), seed)
+        return (self.method, self.sensor, self.goal, self.physics, self.course, str(self.worlds), seed)
 
     @property
     def name(self) -> str:
-        """Key of its note, such as "ranges-known-wheels-20-500-seed0"."""
+        """Key of its note, such as "dqn-ranges-known-wheels-20-500-seed0"."""
         return "-".join(self.labels[:-1]) + ("" if self.seed is None else f"-seed{self.seed}")
-
-    @property
-    def file(self) -> str:
-        """Name of its method's two files, without their ending."""
-        return self.method.replace(", ", "-").replace(" ", "_")
 
 
 def course_name(density: int, movers: int) -> str:
@@ -95,9 +91,9 @@ def measure(row: Row, args: Namespace) -> list[Episode]:
         raise ValueError(f"the test arenas of course {row.course} differ from the frozen ones in arenas.json")
     weights = policy_file(row, args)
     key = key_of(row, args, weights, found)
-    stored = read_notes(args.rows / f"{row.file}.json").get(row.name)
+    stored = read_notes(args.rows / NOTES).get(row.name)
     if stored is not None and stored["key"] == key:
-        return read_episodes(args.rows / f"{row.file}.csv", LABELS)[row.labels]
+        return stored_episodes(args.rows)[row.labels]
     started = time.process_time()
     crossings = make_crossings(row, args, weights, arenas)
     spent = round(time.process_time() - started, 1)
@@ -107,6 +103,17 @@ def measure(row: Row, args: Namespace) -> list[Episode]:
         f"{row.method} {row.name}: {solved} of {len(crossings)}, {spent:.0f} s of processor time", flush=True
     )
     return crossings
+
+
+def stored_episodes(folder: Path) -> dict[tuple[str, ...], list[Episode]]:
+    """Return the stored episodes by the labels of their rows."""
+    file = folder / EPISODES
+    return _episodes(file, file_state(file)) if file.is_file() else {}
+
+
+@functools.lru_cache(maxsize=1)
+def _episodes(file: Path, state: tuple[int, int, int]) -> dict[tuple[str, ...], list[Episode]]:
+    return read_episodes(file, LABELS)
 
 
 @functools.cache
@@ -119,8 +126,7 @@ def frozen(density: int, worlds: int, movers: int) -> tuple[Sequence[Arena], str
 def policy_file(row: Row, args: Namespace) -> Path | None:
     """Return the policy of a row, trained now if it is missing; None for planners.
 
-    Policies of stored rows are kept beside them in ``policies``, so that a table can be rebuilt without the
-    folders of its trainings.
+    Policies of stored rows are kept in ``policies.zip``, so that a table can be made without its trainings.
     """
     if row.seed is None:
         return None
@@ -128,14 +134,31 @@ def policy_file(row: Row, args: Namespace) -> Path | None:
         return DEFAULT_WEIGHTS
     method = LEARNED[row.method].drivers or row.method
     options = [*LEARNED[method].options, f"seed={row.seed}"]
-    folder, kept = (at / f"{method}-{row.seed}" for at in (args.runs, args.rows.parent / "policies"))
-    if not folder.is_dir() and kept.is_dir():
-        return trained_policy(kept, options)
+    folder, archive = args.runs / f"{method}-{row.seed}", args.rows.parent / "policies.zip"
+    kept = read_archive(archive)
+    if not folder.is_dir() and f"{folder.name}/{POLICY}" in kept:
+        with zipfile.ZipFile(archive) as packed:
+            packed.extractall(args.runs, [name for name in kept if name.startswith(f"{folder.name}/")])
     policy = trained_policy(folder, options)
-    kept.mkdir(parents=True, exist_ok=True)
-    for name in (policy.name, "training.json"):
-        shutil.copyfile(folder / name, kept / name)
+    mine = {f"{folder.name}/{name}": (folder / name).read_bytes() for name in (POLICY, RECORD)}
+    if mine.items() - kept.items():
+        write_archive(archive, kept | mine)
     return policy
+
+
+def read_archive(path: Path) -> dict[str, bytes]:
+    """Return the contents of the files in an archive by their names; none without the archive."""
+    if not path.is_file():
+        return {}
+    with zipfile.ZipFile(path) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
+
+
+def write_archive(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into an archive: the same bytes for the same files."""
+    with part_file(path) as unfinished, zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, content in files.items():
+            packed.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)
 
 
 def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict[str, Any]:
@@ -175,7 +198,7 @@ def make_crossings(row: Row, args: Namespace, weights: Path | None, arenas: Sequ
 
 
 def read_notes(file: Path) -> dict[str, dict[str, Any]]:
-    """Return the notes of a method's rows by their names; none without the file."""
+    """Return the notes of the rows by their names; none without the file."""
     if not file.is_file():
         return {}
     content = read_json(file)
@@ -189,17 +212,17 @@ def read_notes(file: Path) -> dict[str, dict[str, Any]]:
 def store(
     row: Row, folder: Path, crossings: Sequence[Episode], key: Mapping[str, Any], cpu_seconds: float
 ) -> None:
-    """Add or replace one row of a method's files; other rows stay, also those of commands side by side."""
-    table, note = folder / f"{row.file}.csv", folder / f"{row.file}.json"
-    where = environment()
-    with locked(folder):
-        write_episodes(table, LABELS, read_episodes(table, LABELS) | {row.labels: crossings})
+    """Add or replace one row; other rows stay, also those of commands side by side."""
+    where, note = environment(), folder / NOTES
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder / LOCK):
+        write_episodes(folder / EPISODES, LABELS, stored_episodes(folder) | {row.labels: crossings})
         made = {"key": key, "cpu_seconds": cpu_seconds, "date": where.pop("date"), "environment": where}
         write_notes(note, read_notes(note) | {row.name: made})
 
 
 def write_notes(file: Path, notes: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write the notes of a method's rows; an environment that several share is written once."""
+    """Write the notes of the rows; an environment that several share is written once."""
     environments: list[Any] = []
     for note in notes.values():
         if note["environment"] not in environments:
@@ -208,15 +231,3 @@ def write_notes(file: Path, notes: Mapping[str, Mapping[str, Any]]) -> None:
         name: {**note, "environment": environments.index(note["environment"])} for name, note in notes.items()
     }
     write_json(file, {"environments": environments, "rows": rows})
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Let one command at a time change the files of a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)

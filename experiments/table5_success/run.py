@@ -3,8 +3,8 @@
 python experiments/table5_success/run.py                                      500 worlds, 3 trainings
 python experiments/table5_success/run.py --worlds 100 --methods dqn_ensemble,,astar_dwa,,dwa
 
-Trains missing methods, crosses the frozen test arenas, stores every row, and writes results-500.md, .csv and
-.png at the end. A killed command resumes where it stopped.
+Trains missing methods, crosses the frozen test arenas, stores every row, and writes results-500.md and rows
+of tables.csv at the end. A killed command resumes where it stopped.
 """
 
 from argparse import Namespace
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from command import all_rows, arguments, refuse_to_drop, results_name, without_nan
+from command import all_rows, arguments, refuse_to_drop, results_name, without_nan, write_table
 from comparisons import Tables, courses_of, loss, paired
 from inputs import fed_by
 from methods import LEARNED
@@ -24,7 +24,6 @@ from rows import measure
 from eldenet.navigation.evaluation import Episode, summarize
 from eldenet.results.run_record import environment
 from eldenet.simulation.robot import ROBOT
-from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
 
@@ -33,7 +32,7 @@ def main() -> None:
     args = arguments()
     rows = list(all_rows(args))
     asked = [(r.physics, r.sensor, r.method, str(r.seed or 0), r.course) for r in rows]
-    refuse_to_drop(HERE / f"{results_name(args)}.csv", asked)
+    refuse_to_drop(HERE / "tables.csv", results_name(args), asked)
     tables: Tables = defaultdict(list)
     for row in rows:
         tables[row.physics, row.sensor, row.method, row.course].append(measure(row, args))
@@ -81,8 +80,9 @@ def write_results(tables: Tables, args: Namespace) -> None:
     ]
     (HERE / f"{name}.md").write_text("\n".join(lines) + "\n")
     names = ["physics", "sensor", "method", "training", "course", *summarize(next(iter(tables.values()))[0])]
-    write_rows(HERE / f"{name}.csv", names, cells)
-    plot(cells, HERE / f"{name}.png")
+    write_table(HERE / "tables.csv", name, names, cells)
+    if args.figure:
+        plot(cells, HERE / f"{name}.png")
 
 
 def cell(seeds: list[list[Episode]]) -> str:

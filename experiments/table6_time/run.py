@@ -19,7 +19,15 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "table5_success"))
 
 import numpy as np  # noqa: E402
-from command import COURSES, all_rows, arguments, refuse_to_drop, results_name, without_nan  # noqa: E402
+from command import (  # noqa: E402
+    COURSES,
+    all_rows,
+    arguments,
+    refuse_to_drop,
+    results_name,
+    without_nan,
+    write_table,
+)
 from inputs import fed_by  # noqa: E402
 from panels import draw_panels  # noqa: E402
 from rows import measure  # noqa: E402
@@ -27,7 +35,6 @@ from rows import measure  # noqa: E402
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.navigation.evaluation import Episode, solved_by_all  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import write_rows  # noqa: E402
 
 # (physics, sensor, course) -> method -> episodes of every training
 Tables = Mapping[tuple[str, str, str], Mapping[str, list[list[Episode]]]]
@@ -43,9 +50,8 @@ METHODS = (
 def main() -> None:
     args = arguments(METHODS, [course for course in COURSES if not course[1]])
     rows = list(all_rows(args))
-    refuse_to_drop(
-        HERE / f"{results_name(args)}.csv", [(r.physics, r.sensor, r.method, r.course) for r in rows]
-    )
+    asked = [(r.physics, r.sensor, r.method, r.course) for r in rows]
+    refuse_to_drop(HERE / "tables.csv", results_name(args), asked)
     tables: dict = defaultdict(lambda: defaultdict(list))
     for row in rows:
         tables[row.physics, row.sensor, row.course][row.method].append(measure(row, args))
@@ -94,8 +100,9 @@ def write_results(tables: Tables, args: Namespace) -> None:
     (HERE / f"{name}.md").write_text("\n".join(lines) + "\n")
     names = ["physics", "sensor", "method", "course", "seconds", "worlds"]
     names += ["ratio", "ratio_low", "ratio_high", "worlds_both"]
-    write_rows(HERE / f"{name}.csv", names, cells)
-    plot(cells, HERE / f"{name}.png")
+    write_table(HERE / "tables.csv", name, names, cells)
+    if args.figure:
+        plot(cells, HERE / f"{name}.png")
     print("\n".join(lines))
 
 

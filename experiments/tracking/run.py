@@ -24,6 +24,7 @@ from eldenet.boxes import Boxes3D
 from eldenet.perception.iou import iou_2d
 from eldenet.perception.lifter import SENSOR_SIGMA, BoxLifter
 from eldenet.perception.tracking import BoxTracker
+from eldenet.results.plots import save_figure
 from eldenet.system.files import read_table, write_rows, write_text
 
 with contextlib.redirect_stdout(io.StringIO()):  # it names the parts that need more packages
@@ -155,7 +156,7 @@ def draw(table: Path, picture: Path) -> None:
         axis.set(xlabel="error of objects' depth [%]", ylabel=title)
     axes[0].set_ylim(bottom=0)
     axes[0].legend()
-    figure.savefig(picture, dpi=120)
+    save_figure(figure, picture)
 
 
 if __name__ == "__main__":

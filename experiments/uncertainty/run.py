@@ -3,11 +3,10 @@
 python experiments/uncertainty/run.py --runs runs/uncertainty
 
 The folder holds trainings as ``<row>/seed<number>``, see README.md. Every network's temperature is fitted on
-the frames of ``dev``; all figures are of ``val``. What is in ``stored/`` is not scored again.
+the frames of ``dev``; all figures are of ``val``. What is in ``scores.jsonl.gz`` is not scored again.
 """
 
 import argparse
-import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -33,13 +32,16 @@ from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
 from eldenet.evaluation.splits import chosen_protocol, open_split  # noqa: E402
 from eldenet.evaluation.uncertainty_metrics import PROTOCOL, UncertaintyMeter, UncertaintyScores  # noqa: E402
 from eldenet.model import DepthNet  # noqa: E402
+from eldenet.results.packed_runs import read_records, write_records  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.results.uncertainty_plots import reliability_plot, sparsification_plot  # noqa: E402
-from eldenet.system.files import read_table, write_json, write_rows, write_text  # noqa: E402
+from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
 from eldenet.train import TrainSettings  # noqa: E402
 
 HERE = Path(__file__).parent
+SCORES, IMAGES = HERE / "scores.jsonl.gz", HERE / "images.csv.gz"  # of each run; of its images
+LATENCY = "latency"  # name of a record of SCORES
 LEAST_SPREAD = 1e-4  # of the mirror-image trick, where both predictions agree
 COLUMNS = ("name", "abs_rel", "delta1", *UNCERTAINTY_METRICS)
 #: Place -> intrinsics at the pictures' size [px], and an input of 120 rows with the pictures' aspect.
@@ -114,8 +116,8 @@ def other_camera(place: str) -> tuple[DepthDataset, EvalProtocol]:
         return open_split(config.data, "val", protocol), protocol
 
 
-def measure(run: Path, folder: Path) -> None:
-    """Score one training; write its figures into ``folder``."""
+def measure(run: Path, name: str) -> None:
+    """Score one training and add its figures under its name."""
     model = eldenet.load(str(run)).eval()
     frames, protocol = nyu("val")
     record: dict[str, Any] = {
@@ -130,16 +132,24 @@ def measure(run: Path, folder: Path) -> None:
         record["coverage90_before"] = before.metrics["coverage90"]
         record["temperature"] = fit_temperature(model, *nyu("dev"))
     found = score(model, frames, protocol)
-    for name, scores in (("own", found.own), ("mirror", found.mirror)):
+    rows = [list(row.values()) for row in image_rows() if row["run"] != name]
+    for kind, scores in (("own", found.own), ("mirror", found.mirror)):
         if scores is not None:
-            rows = [(*left, *right[1:]) for left, right in zip(found.depth, scores.rows, strict=True)]
-            write_rows(folder / f"{name}.csv", COLUMNS, rows)
-            record[name] = {
+            for left, right in zip(found.depth, scores.rows, strict=True):
+                figures = (f"{value:.5g}" for value in (*left[1:], *right[1:]))
+                rows.append([name, kind, left[0], *figures])
+            record[kind] = {
                 "curves": {error: curve.tolist() for error, curve in scores.curves.items()},
                 "coverage": scores.coverage.tolist(),
             }
     record["other_cameras"] = {place: elsewhere(model, place) for place in PLACES if model.distribution}
-    write_json(folder / "scores.json", record | environment())
+    write_rows(IMAGES, ("run", "sigma", *COLUMNS), rows)
+    write_records(SCORES, read_records(SCORES) | {name: record | environment()})
+
+
+def image_rows() -> list[dict[str, str]]:
+    """The stored figures of images."""
+    return read_table(IMAGES, ("run", "sigma", *COLUMNS)) if IMAGES.is_file() else []
 
 
 def elsewhere(model: DepthNet, place: str) -> dict[str, float]:
@@ -163,8 +173,8 @@ def scene_of(name: str) -> int:
 
 def images(row: str, kind: str, seeds: Sequence[int]) -> dict[str, np.ndarray]:
     """Mean over seeds of a row's figures of each image, by column, and the scene of each image."""
-    files = [HERE / "stored" / row / f"seed{seed}" / f"{kind}.csv" for seed in seeds]
-    tables = [read_table(file, COLUMNS) for file in files]
+    stored, names = image_rows(), [f"{row}/seed{seed}" for seed in seeds]
+    tables = [[line for line in stored if (line["run"], line["sigma"]) == (name, kind)] for name in names]
     return {
         column: np.mean([[float(line[column]) for line in table] for table in tables], axis=0)
         for column in COLUMNS[1:]
@@ -219,7 +229,8 @@ def markdown(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def report(runs: Path | None, *, time_it: bool) -> None:
     """Write ``results.md`` and the plots from what is stored; ``time_it``: measure latencies first."""
-    records = [json.loads(file.read_text()) for file in sorted((HERE / "stored").glob("*/seed*/scores.json"))]
+    stored = read_records(SCORES)
+    records = [record for name, record in sorted(stored.items()) if name != LATENCY]
     names = sorted({record["row"] for record in records}, key=lambda name: (name == PLAIN, name))
     seeds = {name: [record["seed"] for record in records if record["row"] == name] for name in names}
     lines, curves, coverage, temperatures, rows = [], {}, {}, [], []
@@ -257,17 +268,17 @@ def report(runs: Path | None, *, time_it: bool) -> None:
         "",
     ]
     lines += ["## Other cameras, as it comes", "", markdown(*elsewhere_rows(records)), ""]
-    timed = HERE / "stored" / "latency.json"
     if time_it and runs is not None:
         firsts = [(name, runs / name / "seed0") for name in names if (runs / name / "seed0").is_dir()]
-        write_json(timed, {"rows": latency(firsts)} | environment())
-    if timed.is_file():
+        stored[LATENCY] = {"rows": latency(firsts)} | environment()
+        write_records(SCORES, stored)
+    if LATENCY in stored:
         lines += [
             "## Latency",
             "",
             "Median of one 120 x 160 picture [ms], one thread, in turns in one process.",
         ]
-        cells = json.loads(timed.read_text())["rows"]
+        cells = stored[LATENCY]["rows"]
         lines += ["", markdown(["row", "torch", "ONNX Runtime", "OpenVINO"], cells), ""]
     processor = records[0]["hardware"]["processor"]
     lines += [
@@ -324,17 +335,19 @@ def main() -> None:
     """Score what is not stored yet, then write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--runs", type=Path, help="folder of the trainings; without it the page is written from stored/"
+        "--runs",
+        type=Path,
+        help="folder of the trainings; without it the page is written from what is stored",
     )
     parser.add_argument("--latency", action="store_true", help="measure latencies too, on an idle machine")
     arguments = parser.parse_args()
     runs: Path | None = arguments.runs
     torch.set_num_threads(1)
     for record in sorted(runs.glob("*/seed*/run.json")) if runs else ():
-        folder = HERE / "stored" / record.parent.parent.name / record.parent.name
-        if not (folder / "scores.json").is_file():
+        name = f"{record.parent.parent.name}/{record.parent.name}"
+        if name not in read_records(SCORES):
             print(f"scoring {record.parent}", flush=True)
-            measure(record.parent, folder)
+            measure(record.parent, name)
     report(runs, time_it=arguments.latency)
 
 

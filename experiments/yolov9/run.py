@@ -167,8 +167,8 @@ def average_precision(parts: Sequence[Matches]) -> float:
 
 
 def write(folder: Path, rows: Sequence[Sequence[str]]) -> None:
-    """Write ``results.csv`` and the table to ``results.md``."""
-    write_rows(folder / "results.csv", COLUMNS, rows)
+    """Write ``figures.csv`` and the table to ``results.md``."""
+    write_rows(folder / "figures.csv", COLUMNS, rows)
     lines = [
         f"| {frames} | `{name}` | {group} | {count} | {ap} [{low}, {high}] | {found} | {false} |"
         for frames, name, _, group, count, ap, low, high, found, false in rows
@@ -188,7 +188,7 @@ def write(folder: Path, rows: Sequence[Sequence[str]]) -> None:
         f"missed. Rendered: test streets and crossings, objects of {RENDERED_HEIGHT} px or more, seen to "
         f"{100 * LEAST_VISIBLE:.0f} % or more.",
         "",
-        f"{environment()['date'][:10]}. `results.csv` has the first digits of "
+        f"{environment()['date'][:10]}. `figures.csv` has the first digits of "
         "each file's SHA-256. Made by `python experiments/yolov9/run.py "
         "runs/yolov9_streets.onnx yolox_nano_coco_256x832.onnx`.",
     ]

@@ -75,7 +75,7 @@ def test_a_wrong_path_ends_in_one_line_before_torch_is_loaded(
     [
         "predict checkpoint=model source=picture.png output=out",
         "export checkpoint=model size=[32,64] pictures=picture.png checks=1 output=model.onnx",
-        "report runs=[stored] output=table",
+        "report runs=[.] output=table",
         "report study=.",
     ],
 )

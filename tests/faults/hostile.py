@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from support import layouts
 from support.rooms_network import trained
-from support.stored_study import figures, store, write_plan
+from support.stored_study import figures, record_of, write_plan
 
 from .campaign import RAW, Outcome, in_processes, judge
 from .kinds import (
@@ -374,8 +374,8 @@ def an_xml_of_a_billion_laughs(folder: Path) -> Attack:
 def _changed_run(
     folder: Path, change: Callable[[dict[str, Any]], object], text: tuple[str, str] = ("", "")
 ) -> Attack:
-    file = store(write_plan(folder), "small", 0, figures(0.0, 0)) / "run.json"
-    run = json.loads(file.read_text())
+    run = record_of(write_plan(folder), "small", 0, figures(0.0, 0))
+    file = folder / "run.json"
     change(run)
     file.write_text(json.dumps(run).replace(*text) if text[0] else json.dumps(run))
     return file, lambda: _report(folder)
@@ -483,7 +483,8 @@ def old_rows_without_a_key(folder: Path) -> Attack:
 
 @hostile
 def a_study_of_damaged_records(folder: Path) -> Attack:
+    from eldenet.results.packed_runs import add_record
+
     study = write_plan(folder, "seeds: [0, 1, 2]", "seeds: [0]")
-    file = store(study, "small", 0, figures(0.0, 0)) / "run.json"
-    file.write_text(json.dumps({"metrics": {"delta1": None}, "seed": "none", "config": 3}))
-    return file, lambda: _tables(folder)
+    add_record(folder, "small/seed0", {"metrics": {"delta1": None}, "seed": "none", "config": 3})
+    return folder / "runs.jsonl.gz", lambda: _tables(study.folder)

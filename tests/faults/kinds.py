@@ -17,13 +17,13 @@ from support.detector_files import FILES, FRAME
 from support.detector_files import save as save_detector
 from support.films import write_video
 from support.rooms_network import SIZE, smooth_pictures, trained
-from support.stored_study import figures, settings_of, store, write_plan
+from support.stored_study import figures, record_of, settings_of, store, write_plan
 from support.training import fit, make_trainer
 
 from .campaign import FileKind
 
 #: They take seconds to write or to read.
-COSTLY = ("last.pt", "best.pt", "dqn.pt", "ONNX", "OpenVINO", "run.json in a study", "per_image.csv")
+COSTLY = ("last.pt", "best.pt", "dqn.pt", "ONNX", "OpenVINO", "runs.jsonl.gz")
 
 layouts.KITTI_SIZES = {"2011_09_26": (60, 80), "2011_09_28": (56, 84)}  # pictures that are read in no time
 
@@ -398,7 +398,8 @@ def _report(root: Path) -> Any:
 
 def _one_run(root: Path) -> None:
     root.mkdir(parents=True, exist_ok=True)
-    store(write_plan(root), "small", 0, figures(0.0, 0))
+    record = record_of(write_plan(root), "small", 0, figures(0.0, 0))
+    (root / "run.json").write_text(json.dumps(record))
 
 
 ROW = {
@@ -458,26 +459,6 @@ def _read_latencies(root: Path) -> Any:
     return found.of("small"), found.title, found.line, json.loads(found.lines["small"]["network"])
 
 
-def _write_choice(root: Path) -> None:
-    root.mkdir(parents=True, exist_ok=True)
-    study = write_plan(root, "learning_rate: 1.0e-3", "learning_rates: [3.0e-4, 1.0e-3]")
-    file = study.rate_file(study.rows[0])
-    file.parent.mkdir(parents=True)
-    tried = {"delta1": {"0.001": 0.5, "0.0003": 0.4}, "learning_rate": 0.001}
-    file.write_text(json.dumps(tried | {"rule": {"candidates": [3e-4, 1e-3], "config": {}}, "sources": {}}))
-
-
-def _read_choice(root: Path) -> Any:
-
-    from eldenet.config import training_composition
-    from eldenet.results.studies.matching import stored_choice
-    from eldenet.results.studies.plan import read_study
-
-    study = read_study(root, training_composition())
-    choice = stored_choice(study, study.rows[0])
-    return None if choice is None else (choice.rate, choice.tried)
-
-
 @cache
 def _setup(root: Path) -> Any:
 
@@ -513,15 +494,11 @@ def _write_normalization(path: Path) -> None:
 
 
 RESULTS = (
-    FileKind("run.json in a report", "stored/small/seed0/run.json", _one_run, _report),
-    FileKind("run.json in a study", "stored/small/seed0/run.json", _study, _tables, named=("small",)),
-    FileKind("per_image.csv", "stored/small/seed0/per_image.csv", _study, _tables, named=("small",)),
+    FileKind("run.json in a report", "run.json", _one_run, _report),
+    FileKind("runs.jsonl.gz of a study", "runs.jsonl.gz", _study, _tables, digest=True),
     FileKind("sweep.yaml", "sweep.yaml", lambda root: (root.mkdir(parents=True), write_plan(root)), _plan),
     one_file("expected.csv", "expected.csv", _write_expected, _read_expected),
     FileKind("benchmark.csv", "benchmark.csv", _write_latencies, _read_latencies),
-    FileKind(
-        "learning_rate.json", "stored/small/learning_rate.json", _write_choice, _read_choice, named=("small",)
-    ),
     one_file("rows.jsonl", "rows.jsonl", _write_rows, _read_rows),
     FileKind("config.yaml of a run", "config.yaml", _begun_run, _go_on, digest=True, named=("work",)),
     one_file("normalization.json", "normalization.json", _write_normalization, _normalization),

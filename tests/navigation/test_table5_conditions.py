@@ -9,6 +9,7 @@ from eldenet.compose import compose_config
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode
 from eldenet.navigation.sensors import Ranges
+from eldenet.system.files import read_text
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 
@@ -25,15 +26,15 @@ study, race = load("table5_robustness/conditions"), load("table6_time/carrots")
 
 def test_the_stored_table_shows_the_stored_episodes(tmp_path):
     folder = EXPERIMENTS / "table5_robustness"
-    study.write(tmp_path, study.read(folder / "conditions.csv"))
-    assert (tmp_path / "conditions.csv").read_text() == (folder / "conditions.csv").read_text()
+    study.write(tmp_path, study.read(folder / "conditions.csv.gz"))
+    assert read_text(tmp_path / "conditions.csv.gz") == read_text(folder / "conditions.csv.gz")
     shown = [line for line in (folder / "conditions.md").read_text().splitlines() if line.startswith("| ")]
     made = [line for line in (tmp_path / "conditions.md").read_text().splitlines() if line.startswith("| ")]
     assert shown == made
 
 
 def test_rows_of_a_condition_are_of_the_same_arenas():
-    rows = study.read(EXPERIMENTS / "table5_robustness" / "conditions.csv")
+    rows = study.read(EXPERIMENTS / "table5_robustness" / "conditions.csv.gz")
     for condition in study.CONDITIONS:
         worlds = [[row.world for row in rows[key]] for key in rows if key[1] == condition]
         shortest = min(map(len, worlds), default=0)
@@ -58,7 +59,7 @@ def test_the_carrot_is_the_fastest_of_those_that_succeed_as_often():
 
 @pytest.mark.parametrize("method", race.CARROTS)
 def test_planners_drive_with_the_carrot_that_the_rule_chose(method):
-    rows = race.read(EXPERIMENTS / "table6_time" / "carrots.csv")
+    rows = race.read(EXPERIMENTS / "table6_time" / "carrots.csv.gz")
     assert race.PLANNERS[method]().carrot == race.tuned(rows, method)
     if method in ("astar_dwa", "astar_online_dwa", "dwa"):
         assert compose_config("navigate", [f"policy={method}"]).policy.carrot == race.tuned(rows, method)

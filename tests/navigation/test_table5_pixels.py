@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from support.detector_files import FILES, save
 
+from eldenet.system.files import read_text
+
 FOLDER = Path(__file__).resolve().parents[2] / "experiments" / "table5_robustness"
 _SPEC = importlib.util.spec_from_file_location("pixels", FOLDER / "pixels.py")
 study = importlib.util.module_from_spec(_SPEC)
@@ -19,9 +21,9 @@ def table(folder):
 
 
 def test_the_stored_table_shows_the_stored_episodes(tmp_path):
-    rows = study.read(FOLDER / "pixels.csv")
+    rows = study.read(FOLDER / "pixels.csv.gz")
     study.write(tmp_path, rows)
-    assert (tmp_path / "pixels.csv").read_text() == (FOLDER / "pixels.csv").read_text()
+    assert read_text(tmp_path / "pixels.csv.gz") == read_text(FOLDER / "pixels.csv.gz")
     assert table(tmp_path) == table(FOLDER)
     for condition in study.CONDITIONS:  # pairs are of the same arenas
         worlds = [[row.world for row in rows[key]] for key in rows if key[0] == condition]
@@ -31,11 +33,11 @@ def test_the_stored_table_shows_the_stored_episodes(tmp_path):
 
 def test_a_stored_row_is_not_measured_again(tmp_path, monkeypatch):
     study.main(FEW, tmp_path)
-    first = (tmp_path / "pixels.csv").read_text()
+    first = read_text(tmp_path / "pixels.csv.gz")
     assert first.count("test-20-") == 2
     monkeypatch.delattr(study, "run_episodes")
     study.main(FEW, tmp_path)
-    assert (tmp_path / "pixels.csv").read_text() == first
+    assert read_text(tmp_path / "pixels.csv.gz") == first
 
 
 def test_a_row_names_its_detector_and_another_file_is_another_row(tmp_path):
@@ -49,7 +51,7 @@ def test_a_row_names_its_detector_and_another_file_is_another_row(tmp_path):
 
 
 def test_rows_of_another_depth_network_are_not_read(tmp_path, monkeypatch):
-    shutil.copy(FOLDER / "pixels.csv", tmp_path)
+    shutil.copy(FOLDER / "pixels.csv.gz", tmp_path)
     monkeypatch.setattr(study, "DEPTH", "eldenet_rooms")
-    kinds = {kind for _, kind, _ in study.read(tmp_path / "pixels.csv")}
+    kinds = {kind for _, kind, _ in study.read(tmp_path / "pixels.csv.gz")}
     assert kinds == set(study.SENSORS) - set(study.BY_NETWORK)

@@ -47,24 +47,23 @@ def test_a_new_row_leaves_the_stored_rows_of_its_method_alone(rows, command, tmp
     options = given(tmp_path, sensors="ranges,noisy")
     every = list(command.all_rows(options))
     first = {row.labels: rows.measure(row, options) for row in every}
-    assert rows.read_episodes(options.rows / "straight.csv", rows.LABELS) == first
-    before = rows.read_notes(options.rows / "straight.json")
+    assert rows.stored_episodes(options.rows) == first
+    before = rows.read_notes(options.rows / rows.NOTES)
     assert list(before) == [row.name for row in every]
     monkeypatch.setattr(rows, "EPISODE_VERSION", 0)
     rows.measure(every[1], options)
-    after = rows.read_notes(options.rows / "straight.json")
+    after = rows.read_notes(options.rows / rows.NOTES)
     assert [name for name in before if before[name]["key"] != after[name]["key"]] == [every[1].name]
-    assert rows.read_episodes(options.rows / "straight.csv", rows.LABELS) == first
-    stored = json.loads((options.rows / "straight.json").read_text())
+    assert rows.stored_episodes(options.rows) == first
+    stored = json.loads((options.rows / rows.NOTES).read_text())
     assert len(stored["environments"]) == 1
 
 
 def test_every_stored_row_has_episodes_and_a_note(rows):
-    for file in (FOLDER / "rows").glob("*.csv"):
-        episodes, notes = rows.read_episodes(file, rows.LABELS), rows.read_notes(file.with_suffix(".json"))
-        assert len(episodes) == len(notes)
-        for labels, crossings in episodes.items():
-            assert len(crossings) == int(labels[rows.LABELS.index("worlds")])
+    episodes, notes = rows.stored_episodes(FOLDER / "rows"), rows.read_notes(FOLDER / "rows" / rows.NOTES)
+    assert len(episodes) == len(notes) > 100
+    for labels, crossings in episodes.items():
+        assert len(crossings) == int(labels[rows.LABELS.index("worlds")])
 
 
 def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, command, tmp_path, monkeypatch):
@@ -82,7 +81,7 @@ def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, command, t
         before[0] = after[0]
     assert rows.key_of(dim, options, DEFAULT_WEIGHTS, "of them")["policy"] is not None
     assert rows.make_sensor(dim.sensor, given(tmp_path, depth="truth")).light == 0.1
-    assert dim.name == "camera@0.1-known-kinematic-5-2"
+    assert dim.name == "straight-camera@0.1-known-kinematic-5-2"
 
 
 def test_a_row_depends_on_how_its_method_drives(rows, methods, tmp_path, monkeypatch):
@@ -160,27 +159,32 @@ def test_a_training_of_other_settings_or_version_is_refused(rows, tmp_path):
 
 
 def test_a_part_does_not_replace_the_whole_table(command, tmp_path):
-    table = tmp_path / "results-2.csv"
+    table = tmp_path / "tables.csv"
     assert command.results_name(given(tmp_path)) == "results-2"
     assert command.results_name(given(tmp_path, goal="odometry")) == "results-2-goal-odometry"
     assert command.results_name(given(tmp_path, out="mine")) == "mine"
-    command.refuse_to_drop(table, [("wheels", "dwa")])
-    table.write_text("physics,method,success\nwheels,dwa,1\nwheels,dqn,2\n")
-    command.refuse_to_drop(table, [("wheels", "dwa"), ("wheels", "dqn"), ("wheels", "straight")])
+    command.refuse_to_drop(table, "mine", [("wheels", "dwa")])
+    columns = ("physics", "method", "success")
+    command.write_table(table, "mine", columns, [("wheels", "dwa", "1"), ("wheels", "dqn", "2")])
+    command.write_table(table, "other", columns, [("wheels", "straight", "3")])
+    command.refuse_to_drop(table, "mine", [("wheels", "dwa"), ("wheels", "dqn"), ("wheels", "straight")])
     with pytest.raises(ValueError, match="such as wheels, dqn"):
-        command.refuse_to_drop(table, [("wheels", "dwa")])
+        command.refuse_to_drop(table, "mine", [("wheels", "dwa")])
+    command.write_table(table, "mine", columns, [("wheels", "dwa", "4")])
+    assert [row[-1] for row in command.tables_of(table)] == ["3", "4"]
 
 
-def test_the_whole_command_writes_headings_with_what_fed_them(study, tmp_path, monkeypatch):
+def test_the_whole_command_writes_headings_with_what_fed_them(rows, study, tmp_path, monkeypatch):
     run = study("run")
     monkeypatch.setattr(run, "HERE", tmp_path)
     monkeypatch.setattr(run, "arguments", lambda: given(
-        tmp_path, sensors="ranges,noisy", goal="odometry", courses="5", methods="straight"))  # fmt: skip
+        tmp_path, sensors="ranges,noisy", goal="odometry", courses="5", methods="straight",
+        figure=True))  # fmt: skip
     run.main()
     text = (tmp_path / "results-2-goal-odometry.md").read_text()
     assert "## noisy, kinematic, goal odometry" in text
     assert "errors `packaged` (SHA-256 " in text
     assert "goal `odometry` (odometry is exact here)" in text
-    assert "nan" not in (tmp_path / "results-2-goal-odometry.csv").read_text()
+    assert "nan" not in (tmp_path / "tables.csv").read_text()
     assert (tmp_path / "results-2-goal-odometry.png").is_file()
-    assert "noisy-odometry-kinematic-5-2" in (tmp_path / "rows" / "straight.json").read_text()
+    assert "straight-noisy-odometry-kinematic-5-2" in rows.read_notes(tmp_path / "rows" / rows.NOTES)

@@ -62,10 +62,10 @@ def test_what_does_not_count_is_neither_found_nor_missed():
 
 
 def test_the_stored_table_shows_the_stored_figures(tmp_path):
-    with (FOLDER / "results.csv").open(newline="") as lines:
+    with (FOLDER / "figures.csv").open(newline="") as lines:
         rows = list(csv.reader(lines))[1:]
     study.write(tmp_path, rows)
-    assert (tmp_path / "results.csv").read_text() == (FOLDER / "results.csv").read_text()
+    assert (tmp_path / "figures.csv").read_text() == (FOLDER / "figures.csv").read_text()
     shown, made = (
         [line for line in (folder / "results.md").read_text().splitlines() if line.startswith("| ")]
         for folder in (FOLDER, tmp_path)

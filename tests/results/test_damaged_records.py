@@ -3,30 +3,22 @@
 import copy
 import json
 import random
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.stored_study import figures, store, write_plan
+from support.stored_study import figures, record_of, store, write_plan
 
 from eldenet.deploy.benchmarking.rows import ROWS_FILE, read_rows
 from eldenet.results.comparison import NEEDED_FOR_COSTS, ReportSetup, find_runs, report_runs
+from eldenet.results.packed_runs import RUNS, read_records
 from eldenet.results.run_record import read_record
 from eldenet.results.statistics import per_image
-from eldenet.results.studies.tables import build_blocks
+from eldenet.system.files import write_json
 
-ODD: list[Any] = [None, True, -1, 7, 1e300, 10**400, "", "x", [], [None], {}, {"x": []}]
 RNG = random.Random(0)
-
-
-def places(node: Any, path: tuple = ()) -> list[tuple]:
-    """The path of every entry but those of the config, which only the plan is compared with."""
-    if isinstance(node, dict):
-        return [path] * bool(path) + [
-            place for key, value in node.items() if key != "config" for place in places(value, (*path, key))
-        ]
-    return [path]
 
 
 def changed(record: dict, path: tuple, value: Any, *, remove: bool = False) -> dict:
@@ -41,13 +33,7 @@ def changed(record: dict, path: tuple, value: Any, *, remove: bool = False) -> d
     return record
 
 
-@pytest.fixture
-def stored(tmp_path):
-    study = write_plan(tmp_path, "[0, 1, 2]", "[0]")
-    return study, store(study, "small", 0, figures(0.0, 0)), store(study, "large", 0, figures(0.1, 1))
-
-
-def attempt(action) -> bool:
+def attempt(action: Callable[[], object]) -> bool:
     """Whether an action worked; an error that is no user's mistake fails the test."""
     try:
         action()
@@ -56,53 +42,13 @@ def attempt(action) -> bool:
     return True
 
 
-def test_wrong_types_and_missing_entries_are_errors(stored, tmp_path):
-    """A table that comes out all the same shows what the record says."""
-    folder = stored[1]
-    file, out = folder / "run.json", tmp_path / "out" / "table"
-    out.parent.mkdir()
-    whole = json.loads(file.read_text())
-    setup = ReportSetup(runs=[str(folder)], output=out)
-    assert attempt(lambda: report_runs(setup))
-    refused = 0
-    for path in places(whole):
-        for value in RNG.sample(ODD, 4):
-            file.write_text(json.dumps(changed(whole, path, value)))
-            refused += not attempt(lambda: report_runs(setup))
-        file.write_text(json.dumps(changed(whole, path, None, remove=True)))
-        refused += not attempt(lambda: report_runs(setup))
-    assert refused > 150
-
-
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        (("metrics", "delta1"), 7),
-        (("metrics", "rmse"), -5),
-        (("metrics", "rmse"), 1e999),
-        (("metrics", "ssim"), -2),
-        (("metrics", "abs_rel"), "0.1"),
-        (("metrics", "images"), 1.5),
-        (("cost", "params"), -1),
-        (("cost", "params"), 10**400),
-        (("cost", "latency_ms_p50"), float("nan")),
-        (("constant_predictor",), [1]),
-        (("protocol", "min_depth"), "x"),
-        (("protocol", "crop"), [1]),
-        (("seed",), "1"),
-        (("model",), ["x"]),
-    ],
-)
-def test_figures_that_cannot_be_are_refused_with_the_files_name(stored, path, value, tmp_path):
-    file = stored[1] / "run.json"
-    file.write_text(json.dumps(changed(json.loads(file.read_text()), path, value)))
-    for action in (
-        lambda: report_runs(ReportSetup(runs=[str(file)], output=tmp_path / "out")),
-        lambda: build_blocks(stored[0]),
-    ):
-        with pytest.raises(ValueError, match=r"small/seed0/run\.json"):
-            action()
-    assert not (tmp_path / "out.md").exists()
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """``run.json`` of a training."""
+    (tmp_path / "run").mkdir()
+    file = tmp_path / "run/run.json"
+    write_json(file, record_of(write_plan(tmp_path), "small", 0, figures(0.0, 0)))
+    return file
 
 
 def damaged(content: bytes, count: int) -> list[bytes]:
@@ -114,14 +60,52 @@ def damaged(content: bytes, count: int) -> list[bytes]:
     return found + [content[: RNG.randrange(len(content))] for _ in range(count // 2)]
 
 
-def test_flips_and_cuts_of_a_stored_run_are_no_tracebacks(stored):
-    folder = stored[1]
-    for content in damaged((folder / "run.json").read_bytes(), 20):
-        (folder / "run.json").write_bytes(content)
-        attempt(lambda: find_runs([str(folder)], NEEDED_FOR_COSTS))
-    for content in damaged((folder / "per_image.csv").read_bytes(), 40):
-        (folder / "per_image.csv").write_bytes(content)
-        attempt(lambda: per_image([folder / "per_image.csv"], "delta1"))
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("metrics", "delta1"), 7),
+        (("metrics", "rmse"), -5),
+        (("metrics", "rmse"), 1e999),
+        (("metrics", "ssim"), -2),
+        (("cost", "params"), -1),
+        (("cost", "params"), 10**400),
+        (("cost", "latency_ms_p50"), float("nan")),
+        (("constant_predictor",), [1]),
+        (("protocol", "min_depth"), "x"),
+        (("protocol", "crop"), [1]),
+    ],
+)
+def test_figures_that_cannot_be_are_refused_with_the_files_name(run, path, value, tmp_path):
+    record = changed(json.loads(run.read_text()), path, value)
+    run.write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=r"run/run\.json"):
+        report_runs(ReportSetup(runs=[str(run)], output=tmp_path / "out"))
+    assert not (tmp_path / "out.md").exists()
+
+
+def test_a_record_that_lacks_an_entry_is_named(run, tmp_path):
+    whole = json.loads(run.read_text())
+    for name in ("model", "data", "split_hash", "protocol", "metrics", "cost", "hardware"):
+        run.write_text(json.dumps(changed(whole, (name,), None, remove=True)))
+        with pytest.raises(ValueError, match=rf"run\.json has no {name}"):
+            report_runs(ReportSetup(runs=[str(run)], output=tmp_path / "out"))
+
+
+def test_flips_and_cuts_of_a_record_are_no_tracebacks(run):
+    for content in damaged(run.read_bytes(), 20):
+        run.write_bytes(content)
+        attempt(lambda: find_runs([str(run)], NEEDED_FOR_COSTS))
+
+
+def test_flips_and_cuts_of_packed_runs_are_seen(tmp_path):
+    study = write_plan(tmp_path)
+    store(study, "small", 0, figures(0.0, 0))
+    file = tmp_path / RUNS
+    whole, record = file.read_bytes(), read_records(file)
+    for content in damaged(whole, 40):
+        file.write_bytes(content)
+        if attempt(lambda: read_records(file)):
+            assert read_records(file) == record  # a flip in the header changes nothing
 
 
 @pytest.mark.parametrize(
@@ -134,20 +118,19 @@ def test_a_record_that_is_no_json_object_is_named(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("columns", "words"),
     [
-        *("", "name\na\n", "name,delta1\na\n", "name,delta1\na,x\n", "name,delta1\na,7\n"),
-        *("name,delta1\na,0.5\na,0.5\n", 'name,delta1\n"a,0.5\n', "name,delta1\na,0.5,6\n"),
-        *("name,delta1\na,inf\n", "name,delta1\n\xff\n"),
+        ({}, "small has no delta1 of each of its images"),
+        ({"name": ["a", "b"], "delta1": [0.5]}, "small has no delta1 of each of its images"),
+        ({"name": ["a"], "delta1": ["x"]}, "small has no delta1 of each of its images"),
+        ({"name": ["a"], "delta1": [7]}, "small has no delta1 of each of its images"),
     ],
 )
-def test_a_damaged_per_image_file_is_named(tmp_path, text):
-    file = tmp_path / "per_image.csv"
-    file.write_bytes(text.encode("latin1"))
-    with pytest.raises(ValueError, match=r"per_image\.csv"):
-        per_image([file], "delta1")
-    file.write_text("name,delta1\na,nan\nb,0.5\n")  # an image without known pixels
-    assert np.isnan(per_image([file], "delta1").values[0, 0])
+def test_images_without_their_metric_are_named(columns, words):
+    with pytest.raises(ValueError, match=words):
+        per_image({"small": {"per_image": columns}}, "delta1")
+    whole = {"per_image": {"name": ["a", "b"], "delta1": [None, 0.5]}}  # an image without known pixels
+    assert np.isnan(per_image({"small": whole}, "delta1").values[0, 0])
 
 
 ROW = {

@@ -1,7 +1,5 @@
 """A plan and stored runs of it as trainings leave them."""
 
-import csv
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,8 @@ import numpy as np
 
 from eldenet.config import training_composition
 from eldenet.evaluation.metric_names import METRICS
+from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.results.packed_runs import RUNS, add_record, read_records
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import Study, read_study
 from eldenet.results.studies.tables import build_blocks
@@ -40,15 +40,15 @@ def settings_of(overrides: Sequence[str], name: str, seed: int = 0) -> dict[str,
     )
 
 
-def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> Path:
-    """A stored run with this delta1 of its images."""
+def record_of(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> dict[str, Any]:
+    """``run.json`` of a run with this delta1 of its images."""
     (row,) = study.chosen(name)
     config = settings_of([*study.overrides_of(row), "optimizer.lr=1.0e-3"], name, seed)
-    run = {
+    return {
         "model": name,
         "seed": seed,
         **{"data": "rooms", "split": "test", "split_hash": "abc", "train_split_hash": "def"},
-        "protocol": config["data"]["protocol"] | {"crop_fractions": None},
+        "protocol": EvalProtocol("rooms", ground_truth="dense").as_dict(),
         "metrics": dict.fromkeys(METRICS, 0.5) | {"delta1": float(delta1.mean()), "images": len(delta1)},
         "constant_predictor": None,
         "cost": {"params": 100, "gmacs": 1.0, "gflops": 2.0, "latency_ms_p50": 7.0, "throughput_img_s": 9.0}
@@ -61,14 +61,19 @@ def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any
         "sources": {},
         "config": config,
     } | changes
-    folder = study.stored(row, seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "run.json").write_text(json.dumps(run))
-    with (folder / "per_image.csv").open("w", newline="") as lines:
-        writer = csv.writer(lines)
-        writer.writerow(["name", "delta1"])
-        writer.writerows(zip(IMAGES, delta1, strict=False))
-    return folder
+
+
+def store(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> dict[str, Any]:
+    """Store a run and return its ``run.json``."""
+    run = record_of(study, name, seed, delta1, **changes)
+    images = {"name": IMAGES[: len(delta1)], "delta1": delta1.tolist()}
+    add_record(study.folder, f"{name}/seed{seed}", run | {"per_image": images})
+    return run
+
+
+def change_run(study: Study, name: str, **changes: Any) -> None:
+    """Change entries of a stored run such as ``small/seed0``."""
+    add_record(study.folder, name, read_records(study.folder / RUNS)[name] | changes)
 
 
 def table(study: Study, block: str = "scratch") -> dict[str, dict[str, str]]:

@@ -7,25 +7,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from eldenet.results.comparison import with_every_rule
 from eldenet.results.fingerprints import run_differences
-from eldenet.results.record_checks import ADVICE, CHOICE, check_shape, require
-from eldenet.results.run_record import RUN_FILE, read_record, read_run
-from eldenet.results.studies.plan import KEPT, RATE, Study, StudyRow
-from eldenet.system.errors import reading
+from eldenet.results.packed_runs import RUNS
+from eldenet.results.run_record import RUN_FILE, check_entries, scored_run
+from eldenet.results.studies.plan import RATE, Study, StudyRow, rate_name, run_name
 
+#: Entries of a stored run.
 NEEDED: tuple[str, ...] = (
-    "model",
     "seed",
     "data",
     "split",
     "split_hash",
     "metrics.images",
-    "constant_predictor",
     "config",
+    "date",
 )
-NEEDED += ("cost.height", "cost.width", "cost.params", "cost.gmacs", "date", "versions.torch")
-NEEDED += ("hardware.processor", "resources.precision", "protocol")  # entries of a stored run
+NEEDED += ("cost.height", "cost.width", "cost.params", "cost.gmacs", "versions.torch")
+NEEDED += ("hardware.processor", "resources.precision")
 _NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
 
 
@@ -81,14 +79,11 @@ class Choice:
 
 def stored_choice(study: Study, row: StudyRow) -> Choice | None:
     """The stored choice of a row's trials; None: there is none, or the row's learning rate is given."""
-    file = study.rate_file(row)
-    if not study.searches_rate(row) or not file.is_file():
+    record = study.stored_rate(row) if study.searches_rate(row) else None
+    if record is None:
         return None
-    record = read_record(file)
-    require(file, record, "learning_rate", "delta1", "rule.candidates", "rule.config", "sources")
-    check_shape(file, record, CHOICE)
-    with reading(file, "search for a learning rate", ADVICE):
-        tried = tuple(sorted(float(rate) for rate in record["delta1"]))
+    check_entries(rate_name(row), record, "learning_rate", "delta1", "rule.candidates", "rule.config")
+    tried = tuple(sorted(float(rate) for rate in record["delta1"]))
     return Choice(float(record["learning_rate"]), tried, record)
 
 
@@ -103,7 +98,7 @@ def search_differences(
     Args:
         candidates: learning rates to try.
         trial: resolved settings of a trial.
-        record: the stored choice (``learning_rate.json``).
+        record: the stored choice.
         given: as :func:`~eldenet.results.fingerprints.run_differences` takes it.
     """
     rule, found = record["rule"], []
@@ -145,31 +140,24 @@ class Stored:
 
     Attributes:
         runs: contents of ``run.json``, one per finished seed.
-        files: their ``per_image.csv``.
         outdated: a setting that differs from the plan; there are no runs then.
     """
 
     runs: list[dict[str, Any]] = field(default_factory=list)
-    files: list[Path] = field(default_factory=list)
     outdated: str | None = None
 
 
 def stored_runs(study: Study, row: StudyRow) -> Stored:
     """The stored runs of a row, for the tables and plots of the study."""
-    folders = [study.stored(row, seed) for seed in row.seeds]
-    folders = [folder for folder in folders if all((folder / file).is_file() for file in KEPT)]
-    runs = [read_run(folder) for folder in folders]
-    for folder, run in zip(folders, runs, strict=True):
-        require(folder / RUN_FILE, run, *NEEDED)
-        if run["seed"] is None:
-            raise ValueError(f"{folder / RUN_FILE} has no seed: {ADVICE}")
+    found = {seed: run for seed in row.seeds if (run := study.stored(row, seed)) is not None}
+    where = study.owner_of(row).folder / RUNS
+    runs = [scored_run(f"{where}, {run_name(row, seed)}", run, *NEEDED) for seed, run in found.items()]
     for run in runs:
         if different := outdated(study, row, run):
             return Stored(outdated=different[0])
     if study.epoch == "last":
         runs = [run | {"metrics": last_metrics(run)} for run in runs]
-    runs = [with_every_rule(run, folder / RUN_FILE) for folder, run in zip(folders, runs, strict=True)]
-    return Stored(runs, [folder / "per_image.csv" for folder in folders])
+    return Stored(runs)
 
 
 def last_metrics(run: Mapping[str, Any]) -> dict[str, Any]:

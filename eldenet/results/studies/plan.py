@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from eldenet.evaluation.metric_names import METRICS
+from eldenet.results.packed_runs import RUNS, read_records
 from eldenet.system.files import read_yaml
 
 PLAN = "sweep.yaml"
 SHARED = ("seeds", "block", "seen", "learning_rate")  # defaults of all rows, given beside `rows:`
-STORED = "stored"  # folder of the results of finished runs, small enough for git
-RATE_FILE = "learning_rate.json"  # the choice of a row's trials
 RATE = "optimizer.lr"  # the setting that `learning_rate` and `learning_rates` set
-KEPT = ("per_image.csv", "run.json")  # files of a stored run; the last one is copied last
 # a setting that must be given -> the table's "... not given"; "data" for any other
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
 
@@ -134,13 +132,23 @@ class Study:
         """Whether a row's learning rate is the best of several trials."""
         return row.learning_rate is None and bool(self.owner_of(row).learning_rates)
 
-    def stored(self, row: StudyRow, seed: int) -> Path:
-        """Folder of the results of one finished run."""
-        return self.owner_of(row).folder / STORED / row.name / f"seed{seed}"
+    def stored(self, row: StudyRow, seed: int) -> dict[str, Any] | None:
+        """The ``run.json`` of a finished run; None: there is none."""
+        return read_records(self.owner_of(row).folder / RUNS).get(run_name(row, seed))
 
-    def rate_file(self, row: StudyRow) -> Path:
-        """File of the learning rate that a row's trials chose."""
-        return self.owner_of(row).folder / STORED / row.name / RATE_FILE
+    def stored_rate(self, row: StudyRow) -> dict[str, Any] | None:
+        """The choice of a row's trials; None: there is none."""
+        return read_records(self.owner_of(row).folder / RUNS).get(rate_name(row))
+
+
+def run_name(row: StudyRow, seed: int) -> str:
+    """The name of a row's run, and of its folder."""
+    return f"{row.name}/seed{seed}"
+
+
+def rate_name(row: StudyRow) -> str:
+    """The name of the choice of a row's learning rate."""
+    return f"{row.name}/learning_rate"
 
 
 def read_study(folder: str | Path, composition: Composition, _readers: tuple[str, ...] = ()) -> Study:

@@ -1,19 +1,26 @@
 """Runs of a study: finished ones are skipped, killed ones resume, a failed one does not stop the rest."""
 
-import shutil
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from eldenet.results.fingerprints import fingerprints, run_differences
+from eldenet.results.packed_runs import RUNS, add_record, pack
 from eldenet.results.run_log import RunLog
-from eldenet.results.run_record import RUN_FILE, read_record, read_run
+from eldenet.results.run_record import read_run
 from eldenet.results.studies.matching import refuse_missing, run_overrides, search_differences
-from eldenet.results.studies.plan import KEPT, RATE, Composition, Study, StudyRow, read_study
-from eldenet.system.files import FolderInUse, part_file, sole_writer, write_json, write_text
+from eldenet.results.studies.plan import (
+    RATE,
+    Composition,
+    Study,
+    StudyRow,
+    rate_name,
+    read_study,
+    run_name,
+)
+from eldenet.system.files import FolderInUse, sole_writer, write_text
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]
@@ -45,17 +52,18 @@ class StudySetup:
 
 @dataclass(frozen=True)
 class Training:
-    """How a run is trained; the first two take the overrides of ``eldenet.train`` and a folder.
+    """How a run is trained; the first two take the overrides of ``eldenet.train``.
 
     Attributes:
         train: trains in the run folder; resumes what was begun there.
-        check_finished: compares a finished run with the overrides. Raises ValueError if it was made with
-            other settings, weights or frames, FileNotFoundError if the frames are not here.
+        check_finished: compares a finished run with the overrides; takes its place, for messages, and its
+            ``run.json``. Raises ValueError if it was made with other settings, weights or frames,
+            FileNotFoundError if the frames are not here.
         composition: how overrides become settings.
     """
 
     train: Callable[[Sequence[str], Path], object]
-    check_finished: Callable[[Sequence[str], Path], object]
+    check_finished: Callable[[Sequence[str], Path, Mapping[str, Any]], object]
     composition: Composition
 
 
@@ -170,34 +178,34 @@ class _RowRun:
 
     def run_seed(self, seed: int, shared: Sequence[str]) -> Outcome:
         """Train one run and store its results, unless they are stored already."""
-        name, stored = f"{self.row.name}/seed{seed}", self.study.stored(self.row, seed)
-        folder = self.folder / f"seed{seed}"
+        name, folder = run_name(self.row, seed), self.folder / f"seed{seed}"
         overrides = self.overrides(shared, folder, seed)
         try:
-            if not self.setup.rerun and self._finished(overrides, stored, f"{self.study.name}/{name}"):
+            if not self.setup.rerun and self._finished(overrides, seed):
                 return Outcome(name, "finished before")
             refuse_missing(self.row, self.runs, seed)
             self.training.train(overrides, folder)
-            store(folder, stored)
+            pack(folder, self.study.folder, name)
         except Exception as error:
             return self.failed(folder, name, error)
         (folder / "failed.txt").unlink(missing_ok=True)
         return Outcome(name, "done")
 
-    def _finished(self, overrides: Sequence[str], stored: Path, name: str) -> bool:
+    def _finished(self, overrides: Sequence[str], seed: int) -> bool:
         """Whether this very run is stored; without its frames the settings alone are compared.
 
         Raises:
             ValueError: it was made with other settings, weights or frames.
         """
-        if not all((stored / file).is_file() for file in KEPT):
+        record, name = self.study.stored(self.row, seed), f"{self.study.name}/{run_name(self.row, seed)}"
+        if record is None:
             return False
         note = ""
         try:
-            different = run_differences(self.study.composition.resolve(overrides), read_run(stored))
+            different = run_differences(self.study.composition.resolve(overrides), record)
             if different:
-                raise ValueError(f"{stored} holds a run with other settings: {'; '.join(different[:5])}")
-            self.training.check_finished(overrides, stored)
+                raise ValueError(f"{name} is stored with other settings: {'; '.join(different[:5])}")
+            self.training.check_finished(overrides, self.study.folder / f"{RUNS}, {name}", record)
         except FileNotFoundError as error:
             note = f"; its frames are not here to be compared ({str(error).splitlines()[0]})"
         except ValueError as error:
@@ -258,20 +266,19 @@ class _RowRun:
             "sources": fingerprints(settings),
             "rule": rule,
         }
-        write_json(study.rate_file(row), content)
+        add_record(study.folder, rate_name(row), content)
         return best
 
     def _kept_rate(self, trial: Mapping[str, Any]) -> float | None:
         """The stored choice; None: there is none, or another search made it and ``rerun`` replaces it."""
-        file = self.study.rate_file(self.row)
-        if not file.is_file():
+        kept = self.study.stored_rate(self.row)
+        if kept is None:
             return None
-        kept = read_record(file)
         different = search_differences(self.study.learning_rates, trial, kept)
         if different and not self.setup.rerun:
             raise ValueError(
-                f"{file} was chosen by another rule ({'; '.join(different[:5])}). Restore that rule, or "
-                "choose and train again with rerun=true, which replaces what is stored"
+                f"the stored learning rate was chosen by another rule ({'; '.join(different[:5])}). Restore "
+                "that rule, or choose and train again with rerun=true, which replaces what is stored"
             )
         return None if different else float(kept["learning_rate"])
 
@@ -300,12 +307,3 @@ def next_candidates(scores: Mapping[float, float | None]) -> list[float]:
     if best == tried[0]:
         return [float(f"1e{exponent}") if digit != "1" else float(f"3e{int(exponent) - 1}")]
     return [float(f"1e{int(exponent) + 1}") if digit != "1" else float(f"3e{exponent}")]
-
-
-def store(folder: Path, stored: Path) -> None:
-    """Copy the files that tables are made of; a kill halfway leaves no run that looks stored."""
-    stored.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as copies:  # all are copied before the first takes its place
-        for file in reversed(KEPT):  # the last one that was entered takes its place first
-            shutil.copyfile(folder / file, copies.enter_context(part_file(stored / file)))
-        (stored / RUN_FILE).unlink(missing_ok=True)  # an earlier run's must not stand beside this one's files

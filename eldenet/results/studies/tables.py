@@ -12,7 +12,7 @@ from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mi
 from eldenet.results.statistics import Difference
 from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.matching import outdated_search, stored_choice, stored_runs
-from eldenet.results.studies.plan import Study, StudyRow
+from eldenet.results.studies.plan import Study, StudyRow, run_name
 from eldenet.results.tables import CORE, heading, number, protocol_line, training_line
 from eldenet.system.files import read_table
 
@@ -117,7 +117,6 @@ class Member:
     Attributes:
         row: of the plan.
         grouped: its finished runs; None: there are none.
-        files: their ``per_image.csv``.
         expected: its line of ``expected.csv``; empty if it has none.
         planned: False for a rival that has that line only.
         outdated: why its stored runs are not shown.
@@ -126,7 +125,6 @@ class Member:
     row: StudyRow
     expected: Mapping[str, str]
     grouped: Row | None = None
-    files: Sequence[Path] = ()
     planned: bool = True
     outdated: str | None = None
 
@@ -229,7 +227,7 @@ def _member(study: Study, row: StudyRow, expected: Mapping[str, str]) -> Member:
             raise ValueError(f"the stored runs have the names {', '.join(one.model for one in grouped)}")
     except ValueError as error:  # the other rows have their table
         return Member(row, expected, outdated=f"{error}; train all of its seeds again (rerun=true)")
-    return Member(row, expected, grouped[0], stored.files)
+    return Member(row, expected, grouped[0])
 
 
 def _notes(study: Study, members: Sequence[Member], latencies: Latencies | None, reference: str) -> list[str]:
@@ -280,11 +278,17 @@ def _differences(study: Study, reference: Member, members: Sequence[Member]) -> 
     for member in members:
         if member is reference or not member.runs:
             continue
-        ours, theirs = (statistics.per_image(one.files, study.compare) for one in (member, reference))
+        ours, theirs = (_scores(study, one) for one in (member, reference))
         seeds = min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
         mean, low, high = statistics.paired_interval(ours, theirs, draw_seeds=seeds)
         found[member.row.name] = Difference(mean, low, high, seeds, study.compare in LOWER_IS_BETTER)
     return found
+
+
+def _scores(study: Study, member: Member) -> statistics.Scores:
+    """The compared metric of every image in a row's runs."""
+    runs = {run_name(member.row, run["seed"]): run for run in member.runs}
+    return statistics.per_image(runs, study.compare)
 
 
 def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:

@@ -7,6 +7,7 @@ import pytest
 from support.tiny_study import cells, short
 
 from eldenet import config as cfg
+from eldenet.results.packed_runs import RUNS, read_records
 
 
 def test_the_commands_run_and_report_a_study(tiny, run_command):
@@ -19,7 +20,7 @@ def test_the_commands_run_and_report_a_study(tiny, run_command):
         unknown = run_command("study", f"study={tiny}", "rows=[eldenet]", asked, cwd=tiny.parent)
         assert unknown.returncode == 1
         assert "seeds=[5]: the chosen rows have the seeds 0;" in unknown.stderr
-    assert (tiny / "stored" / "eldenet_s" / "seed0" / "run.json").is_file()  # the failed row lost nothing
+    assert "eldenet_s/seed0" in read_records(tiny / RUNS)  # the failed row lost nothing
     finished = run_command("report", f"study={tiny}", cwd=tiny.parent)
     assert finished.returncode == 0, finished.stderr
     assert "eldenet_s" in (tiny / "results.md").read_text()
@@ -55,7 +56,7 @@ def test_submitit_runs_a_row(tiny, run_command):
         cwd=tiny.parent,
     )
     assert finished.returncode == 0, finished.stderr[-3000:]
-    assert (tiny / "stored/eldenet_s/seed0/run.json").is_file()
+    assert "eldenet_s/seed0" in read_records(tiny / RUNS)
     assert list(tiny.parent.rglob("*_result.pkl"))  # submitit's own: its job ended
 
 
@@ -70,7 +71,6 @@ def test_rays_workers_run_the_rows(tiny, run_command):
         cwd=tiny.parent,
     )
     assert finished.returncode == 0, finished.stderr[-3000:]
-    for name in ("eldenet_s", "eldenet"):
-        assert (tiny / "stored" / name / "seed0" / "run.json").is_file()
+    assert {"eldenet_s/seed0", "eldenet/seed0"} <= set(read_records(tiny / RUNS))
     workers = set(re.findall(r"_run_job pid=(\d+)", finished.stdout + finished.stderr))
     assert len(workers) == 2, finished.stdout[-2000:]

@@ -3,11 +3,13 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from eldenet.config import training_composition
 from eldenet.results.fingerprints import fingerprints
+from eldenet.results.packed_runs import RUNS, read_records
 from eldenet.results.studies.plan import Study, read_study
 from eldenet.results.studies.runner import Outcome, StudySetup, Training, run_row
 
@@ -54,12 +56,16 @@ class Trials:
         self, study: Study, runs: Path, name: str = "small", rerun: bool = False, **given: object
     ) -> Outcome:
         setup = StudySetup(study.folder, runs, rerun=rerun, given=given)
-        training = Training(self.train, lambda overrides, folder: None, training_composition())
+        training = Training(self.train, lambda overrides, where, record: None, training_composition())
         return run_row(study, study.chosen(name)[0], setup, training, lambda text: None)[0]
 
 
+def stored(folder: Path, name: str) -> dict[str, Any]:
+    return read_records(folder / RUNS)[name]
+
+
 def chosen(folder: Path, name: str = "small") -> float:
-    return json.loads((folder / "stored" / name / "learning_rate.json").read_text())["learning_rate"]
+    return stored(folder, f"{name}/learning_rate")["learning_rate"]
 
 
 @pytest.mark.parametrize(
@@ -77,11 +83,9 @@ def test_the_best_candidate_is_chosen_once(study, tmp_path, curve: Curve, tried,
     assert trials.run(study, tmp_path / "runs").status == "done"
     assert trials.tried == [(rate, 1) for rate in tried]
     assert chosen(tmp_path) == best
-    kept = json.loads((tmp_path / "stored/small/learning_rate.json").read_text())
+    kept = stored(tmp_path, "small/learning_rate")
     assert {float(rate): score for rate, score in kept["delta1"].items()} == curve
-    assert (
-        json.loads((tmp_path / "stored/small/seed0/run.json").read_text())["metrics"]["delta1"] == curve[best]
-    )
+    assert stored(tmp_path, "small/seed0")["metrics"]["delta1"] == curve[best]
     trials.run(study, tmp_path / "elsewhere")
     assert len(trials.tried) == len(tried)
 

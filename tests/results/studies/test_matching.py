@@ -1,14 +1,14 @@
 """Stored runs that were not made with the settings of the plan: left out of the tables, or named."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.stored_study import figures, history, notes, settings_of, store, table, write_plan
+from support.stored_study import change_run, figures, history, notes, settings_of, store, table, write_plan
 
 from eldenet.config import training_composition
 from eldenet.results.fingerprints import differences, fingerprint, run_differences
+from eldenet.results.packed_runs import add_record
 from eldenet.results.studies.convergence import convergence
 from eldenet.results.studies.plan import Study, read_study
 
@@ -16,11 +16,6 @@ from eldenet.results.studies.plan import Study, read_study
 @pytest.fixture
 def study(tmp_path: Path) -> Study:
     return write_plan(tmp_path)
-
-
-def change_run(folder: Path, **changes: Any) -> None:
-    run = json.loads((folder / "run.json").read_text())
-    (folder / "run.json").write_text(json.dumps(run | changes))
 
 
 def test_runs_with_settings_of_an_older_plan_are_not_shown(study: Study, tmp_path: Path) -> None:
@@ -47,9 +42,8 @@ def test_runs_from_other_weights_are_not_shown(study: Study, tmp_path: Path) -> 
         (content, "1 of 3"),
         ("0" * 16, f"outdated: weights=eldenet_rooms (content {content}"),
     ):
-        folder = store(changed, "large", 0, figures(0, 1))
-        config = json.loads((folder / "run.json").read_text())["config"] | {"weights": "eldenet_rooms"}
-        change_run(folder, config=config, sources={"weights": stored})
+        config = store(changed, "large", 0, figures(0, 1))["config"] | {"weights": "eldenet_rooms"}
+        change_run(changed, "large/seed0", config=config, sources={"weights": stored})
         assert table(changed)["large"]["seeds"].startswith(status)
     moved = write_plan(tmp_path, "model=eldenet]", 'model=eldenet, "weights={runs}/small/seed0"]')
     assert table(moved)["large"]["seeds"] == "1 of 3"
@@ -91,10 +85,9 @@ def test_a_given_teacher_is_not_compared_where_the_loss_refers_to_it() -> None:
 
 def test_a_protocol_rule_that_a_run_does_not_have_was_not_applied(study: Study) -> None:
     store(study, "small", 0, figures(0, 0))
-    folder = store(study, "large", 0, figures(0, 1))
-    protocol = json.loads((folder / "run.json").read_text())["protocol"]
+    protocol = store(study, "large", 0, figures(0, 1))["protocol"]
     assert protocol.pop("inverse_scale") is None
-    change_run(folder, protocol=protocol)
+    change_run(study, "large/seed0", protocol=protocol)
     assert table(study)["large"]["seeds"] == "1 of 3"
 
 
@@ -105,7 +98,7 @@ def choose(study: Study, name: str, delta1: dict[str, float | None]) -> None:
     rule = {"candidates": list(study.learning_rates)}
     rule["config"] = settings_of(study.overrides_of(row, trial=True), name)
     content = {"learning_rate": float(best), "delta1": delta1, "sources": {}, "rule": rule}
-    study.rate_file(row).write_text(json.dumps(content))
+    add_record(study.folder, f"{name}/learning_rate", content)
 
 
 SEARCH = "learning_rates: [3.0e-4, 1.0e-3]"
@@ -147,9 +140,3 @@ def test_a_note_names_rows_whose_rate_another_search_chose(
     found = [note for note in notes(study) if "trials" in note]
     assert [note.partition("rerun=true: ")[2] for note in found] == ([words] if words else [])
     assert table(study)["small"]["seeds"] == "1 of 3"
-
-
-def test_half_a_copy_is_no_stored_run(study: Study) -> None:
-    folder = store(study, "small", 0, figures(0, 0))
-    (folder / "per_image.csv").unlink()
-    assert table(study)["small"]["seeds"] == "not run"

@@ -14,6 +14,7 @@ from eldenet import config as cfg
 from eldenet.config import training_composition
 from eldenet.deploy.benchmarking import measure as measuring
 from eldenet.deploy.benchmarking.run import benchmark
+from eldenet.results.packed_runs import RUNS, add_record, read_records
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
@@ -39,11 +40,12 @@ def test_a_study_is_trained_once_and_reported(tiny, tmp_path):
     assert any("monitor='accuracy'" in line for line in said)
     assert "accuracy" in (tmp_path / "runs/tiny/wrong/seed0/failed.txt").read_text()
     # the learning rate is chosen on a held-out part of the training split
-    chosen = json.loads((tiny / "stored/eldenet_s/learning_rate.json").read_text())
+    stored = read_records(tiny / RUNS)
+    chosen = stored["eldenet_s/learning_rate"]
     scores = chosen["delta1"]
     assert chosen["learning_rate"] == float(max(scores, key=scores.get))
     assert chosen["held_out_images"] == 4
-    record = json.loads((tiny / "stored/eldenet_s/seed1/run.json").read_text())
+    record = stored["eldenet_s/seed1"]
     assert record["config"]["optimizer"]["lr"] == chosen["learning_rate"]
     assert (record["seed"], record["metrics"]["images"]) == (1, 6)
     assert record["split_hash"] != chosen["held_out_split_hash"]
@@ -65,8 +67,8 @@ def test_a_study_is_trained_once_and_reported(tiny, tmp_path):
 def report_is_right(folder: Path) -> None:
     write_study_report(folder, training_composition())
     rows = cells(folder)
-    runs = [json.loads((folder / f"stored/eldenet_s/seed{seed}/run.json").read_text()) for seed in (0, 1)]
-    values = [run["metrics"]["rmse"] for run in runs]
+    stored = read_records(folder / RUNS)
+    values = [stored[f"eldenet_s/seed{seed}"]["metrics"]["rmse"] for seed in (0, 1)]
     ours = rows["scratch/eldenet_s"]
     assert ours["RMSE [m] ↓"] == f"{np.mean(values):.3f}"
     assert ours["RMSE std"] == f"{np.std(values, ddof=1):.3f}"
@@ -105,7 +107,7 @@ def test_a_row_of_another_study_is_run_once(tiny, tmp_path):
     assert [one.status for one in run(theirs, "eldenet", tmp_path / "runs")] == ["finished before"]
     write_study_report(other, training_composition())
     assert cells(other)["another/eldenet"]["seeds"] == "1"
-    assert not (other / "stored").exists()
+    assert not (other / RUNS).exists()
 
 
 def test_a_study_is_found_from_inside_its_folder(tiny, tmp_path, monkeypatch):
@@ -117,7 +119,7 @@ def test_a_study_is_found_from_inside_its_folder(tiny, tmp_path, monkeypatch):
     study = read_study(".", training_composition())
     (row,) = study.rows
     assert (study.name, row.owner.name) == ("other", "tiny")
-    assert study.stored(row, 0).resolve() == tiny / "stored/eldenet/seed0"
+    assert study.owner_of(row).folder.resolve() == tiny
     write_study_report(".", training_composition())
     assert cells(other)["scratch/eldenet"]["seeds"] == "not run"
     text = (other / "results.md").read_text()
@@ -180,10 +182,10 @@ def test_a_killed_run_resumes(tiny, tmp_path):
     folder = tmp_path / "runs/tiny/eldenet/seed0"
     weights = (folder / "model/model.safetensors").stat().st_mtime_ns
     (folder / "run.json").unlink()
-    shutil.rmtree(tiny / "stored")
+    (tiny / RUNS).unlink()
     assert run(study, "eldenet", tmp_path / "runs")[0].status == "done"
     assert (folder / "model/model.safetensors").stat().st_mtime_ns == weights  # not trained again
-    assert (tiny / "stored/eldenet/seed0/per_image.csv").is_file()
+    assert len(read_records(tiny / RUNS)["eldenet/seed0"]["per_image"]["name"]) == 6
     # a finished run is left as it is; with other settings it is refused
     shared = [*study.overrides_of(study.chosen("eldenet")[0]), "optimizer.lr=1.0e-3"]
     before = (folder / "run.json").read_bytes()
@@ -216,7 +218,7 @@ def test_a_row_is_run_by_one_process_at_a_time(tiny, tmp_path):
     with sole_writer(folder):
         outcomes = run(study, "eldenet", tmp_path / "runs")
     assert [outcome.status for outcome in outcomes] == ["running elsewhere"]
-    assert not (tiny / "stored").exists()
+    assert not (tiny / RUNS).exists()
     with sole_writer(folder):
         pass
 
@@ -234,7 +236,7 @@ def test_a_row_that_starts_from_another_needs_its_weights(tiny, tmp_path):
 
     assert "needs the weights of" in status("next", "runs")
     assert [status(name, "runs") for name in ("eldenet_s", "next")] == ["done", "done"]
-    record = json.loads((tiny / "stored/next/seed0/run.json").read_text())
+    record = read_records(tiny / RUNS)["next/seed0"]
     assert len(record["sources"]["weights"]) == 16
     # elsewhere both are finished, though no weights lie there; rerun trains the first for its weights
     assert [status(name, "elsewhere") for name in ("eldenet_s", "next")] == ["finished before"] * 2
@@ -247,7 +249,7 @@ def test_a_row_that_starts_from_another_needs_its_weights(tiny, tmp_path):
     assert "weights=" in status("next", "elsewhere")
     assert status("next", "elsewhere", rerun=True) == "done"  # from these weights, and stored instead
     assert status("next", "elsewhere") == "finished before"
-    again = json.loads((tiny / "stored/next/seed0/run.json").read_text())
+    again = read_records(tiny / RUNS)["next/seed0"]
     assert again["sources"] != record["sources"]
 
 
@@ -260,10 +262,7 @@ def test_without_its_frames_a_stored_run_is_compared_by_settings(tmp_path, monke
     settings = training_composition().resolve(
         run_overrides(study.rows[0].overrides, tmp_path, tmp_path, name="small", seed=0)
     )
-    folder = study.stored(study.rows[0], 0)
-    folder.mkdir(parents=True)
-    (folder / "run.json").write_text(json.dumps({"metrics": {}, "config": settings}))
-    (folder / "per_image.csv").write_text("name\n")
+    add_record(tmp_path, "small/seed0", {"metrics": {}, "config": settings})
     (outcome,) = run(study, "small", tmp_path / "runs", said.append)
     assert outcome.status == "finished before"
     assert "not here to be compared" in said[-1]

@@ -1,11 +1,12 @@
 """What is stored in experiments/ and what its pages tell a reader to type name the rows of today."""
 
-import json
 import re
 from pathlib import Path
 
 import pytest
 import yaml
+
+from eldenet.results.packed_runs import RUNS, read_records
 
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
 PLANS = sorted(EXPERIMENTS.glob("*/sweep.yaml"))
@@ -16,11 +17,11 @@ TYPED = re.compile(r"study=experiments/(\w+)[^`\n]*?\brows?='?\[?([\w,]+)")
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.parent.name)
 def test_stored_commands_train_the_row_they_lie_in(plan: Path) -> None:
     rows = yaml.safe_load(plan.read_text())["rows"]
-    for file in sorted(plan.parent.glob("stored/*/seed*/run.json")):
-        row, command = file.parts[-3], json.loads(file.read_text())["command"]
-        assert row in rows, file
-        if named := ROWS.search(command):
-            assert row in named[1].split(","), f"{file}: {command}"
+    for name, record in read_records(plan.parent / RUNS).items():
+        row, kind = name.split("/")
+        assert row in rows, name
+        if kind.startswith("seed") and (named := ROWS.search(record["command"])):
+            assert row in named[1].split(","), f"{name}: {record['command']}"
 
 
 def test_commands_on_pages_name_rows_that_exist() -> None:

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.stored_study import figures, notes, store, table, write_plan
+from support.stored_study import change_run, figures, notes, store, table, write_plan
 
 from eldenet.config import training_composition
 from eldenet.results import statistics
+from eldenet.results.packed_runs import RUNS, read_records, write_records
 from eldenet.results.studies.plan import Study
 from eldenet.results.studies.report import write_study_report
 from eldenet.results.studies.tables import build_blocks
@@ -31,7 +32,8 @@ def test_verdicts_need_three_seeds_of_both(study: Study, offset: float, verdict:
     cell = table(study)["large"][DIFFERENCE]
     assert float(cell.split()[0]) == pytest.approx(offset, abs=0.01)
     assert cell.endswith(f"] {verdict}" if verdict else "]")
-    (study.stored(study.chosen("small")[0], 2) / "run.json").unlink()
+    records = read_records(study.folder / RUNS)
+    write_records(study.folder / RUNS, {name: records[name] for name in records if name != "small/seed2"})
     rows = table(study)
     assert rows["large"][DIFFERENCE].endswith("] (images alone)")
     assert (rows["small"]["seeds"], rows["large"]["seeds"]) == ("2 of 3", "3")
@@ -76,7 +78,7 @@ def test_a_lucky_seed_makes_no_verdict(study: Study) -> None:
     assert float(cell.split()[0]) == pytest.approx(0.02, abs=0.01)
     assert cell.endswith("]")
     ours, theirs = (
-        statistics.per_image([study.stored(row, seed) / "per_image.csv" for seed in range(3)], "delta1")
+        statistics.per_image({str(seed): study.stored(row, seed) for seed in range(3)}, "delta1")
         for row in study.chosen(["large", "small"])[::-1]
     )
     assert statistics.paired_interval(ours, theirs, draw_seeds=False)[1] > 0
@@ -84,12 +86,10 @@ def test_a_lucky_seed_makes_no_verdict(study: Study) -> None:
 
 def test_runs_that_do_not_compare_are_refused(study: Study) -> None:
     store(study, "small", 0, figures(0, 0))
-    folder = store(study, "large", 0, figures(0, 1), split_hash="other")
+    run = store(study, "large", 0, figures(0, 1), split_hash="other")
     with pytest.raises(ValueError, match="split_hash differs"):
         build_blocks(study)
-    run = json.loads((folder / "run.json").read_text()) | {"split_hash": "abc"}
-    run["protocol"]["max_depth"] = 5.0
-    (folder / "run.json").write_text(json.dumps(run))
+    change_run(study, "large/seed0", split_hash="abc", protocol=run["protocol"] | {"max_depth": 5.0})
     with pytest.raises(ValueError, match="protocol differs"):
         build_blocks(study)
     store(study, "large", 0, figures(0, 1)[:30])  # other images under the same hash
@@ -144,7 +144,7 @@ def test_the_table_can_show_the_last_epoch(study: Study, tmp_path: Path) -> None
 
 
 def test_latencies_of_another_network_are_refused(study: Study, tmp_path: Path) -> None:
-    folder = store(study, "small", 0, figures(0, 0))
+    config = store(study, "small", 0, figures(0, 0))["config"]["model"]
     study = write_plan(tmp_path, "rows:", "latency: benchmark.csv\nrows:")
     with pytest.raises(FileNotFoundError, match="names it as latency"):
         build_blocks(study)
@@ -154,7 +154,6 @@ def test_latencies_of_another_network_are_refused(study: Study, tmp_path: Path) 
         **{"gmacs": 1.0, "processor": "some", "date": "2026-01-01", "command": "benchmark.py"},
     }
     file = tmp_path / "benchmark.csv"
-    config = json.loads((folder / "run.json").read_text())["config"]["model"]
     line["network"] = json.dumps(config)
     write_rows(file, list(line), [list(line.values())])
     assert table(study)["small"]["latency [ms] (onnxruntime) ↓"] == "3.25"
