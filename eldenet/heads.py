@@ -56,7 +56,7 @@ class Head(Configurable, nn.Module):
         return type(self)(**settings)
 
     def forward(self, raw: Tensor) -> Tensor:
-        """Same as :meth:`to_meters`."""
+        """Same as :meth:`to_meters`: ``(B, channels, H, W)`` -> ``(B, 1, H, W)`` [m]."""
         return self.to_meters(raw)
 
 
@@ -96,15 +96,10 @@ class ScaledHead(Head):
         scale: [m] per unit of the raw map; 0.01 for centimeters.
         min_depth: [m].
         max_depth: [m].
-
-    Raises:
-        ValueError: a scale that is not above 0.
     """
 
     def __init__(self, scale: float = 1.0, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__(min_depth, max_depth)
-        if scale <= 0:
-            raise ValueError(f"scale={scale}: give more than 0 meters per unit of the raw map")
         self.scale = float(scale)
 
     def to_meters(self, raw: Tensor) -> Tensor:

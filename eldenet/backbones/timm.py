@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from eldenet.backbones.base import Backbone
-from eldenet.backbones.weights import Weights, read_weights
+from eldenet.backbones.weights import Weights, downloading, read_weights
 from eldenet.system.errors import missing_extra
 from eldenet.types import FeatureInfo
 
@@ -41,17 +41,13 @@ class TimmBackbone(Backbone):
 
         weights = read_weights(pretrained) if isinstance(pretrained, str) else None
         overlay = {"file": str(Path(pretrained).expanduser())} if isinstance(pretrained, str) else None
-        try:
-            self.body = timm.create_model(
-                name, pretrained=bool(pretrained), features_only=True, pretrained_cfg_overlay=overlay
-            )
-        except OSError as error:
-            raise RuntimeError(
-                f"could not download timm's weights of {name} ({error}). Download them on a machine "
-                "with internet access and give the file: pretrained: /path/to/file"
-            ) from error
-        except RuntimeError as error:  # an unknown name, or shapes that differ
-            raise ValueError(f"timm cannot make {name} with pretrained={pretrained}: {error}") from error
+        with downloading(f"timm's weights of {name}"):
+            try:
+                self.body = timm.create_model(
+                    name, pretrained=bool(pretrained), features_only=True, pretrained_cfg_overlay=overlay
+                )
+            except RuntimeError as error:  # an unknown name, or shapes that differ
+                raise ValueError(f"timm cannot make {name} with pretrained={pretrained}: {error}") from error
         if weights is not None:
             self._check_all_loaded(weights, f"{pretrained} into {name}")
 

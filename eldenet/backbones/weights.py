@@ -3,7 +3,8 @@
 import pickle
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -133,12 +134,24 @@ def download_from_hub(repository: str, filename: str = "model.safetensors") -> P
     """
     from huggingface_hub import hf_hub_download
 
-    try:
+    # which errors depends on the versions of the Hub's client and its HTTP library
+    with downloading(f"{filename} from https://huggingface.co/{repository}", Exception):
         return Path(hf_hub_download(repository, filename))
-    except Exception as error:  # which ones depends on the versions of the Hub client and its HTTP library
+
+
+@contextmanager
+def downloading(what: str, errors: type[Exception] = OSError) -> Iterator[None]:
+    """Say how to do without a network where ``what`` cannot be downloaded.
+
+    Raises:
+        RuntimeError: in place of those errors.
+    """
+    try:
+        yield
+    except errors as error:
         raise RuntimeError(
-            f"could not download {filename} from https://huggingface.co/{repository} ({error}). Download it "
-            "on a machine with internet access and give its path: pretrained: /path/to/file"
+            f"could not download {what} ({error}). Download it on a machine with internet access and give "
+            "its path: pretrained: /path/to/file"
         ) from error
 
 
@@ -167,15 +180,8 @@ def load_torchvision_weights(
     choice = "IMAGENET1K_V1" if pretrained is True else str(pretrained)
     if choice in published:
         source = published[choice].url
-        try:
+        with downloading(source):
             weights = dict(published[choice].get_state_dict(progress=False, check_hash=True))
-        except OSError as error:
-            raise RuntimeError(
-                f"could not download {source} ({error}). Download it on a machine with internet access "
-                "and give its "
-                f"path (pretrained: /path/to/{Path(source).name}), or put it into "
-                f"{torch.hub.get_dir()}/checkpoints"
-            ) from error
     elif Path(choice).expanduser().is_file():
         source = choice
         weights = read_weights(choice)

@@ -83,7 +83,7 @@ class WeightedTerm(nn.Module):
         applies_to: "metric" or "relative": which samples count, by what is known about their depth.
 
     Raises:
-        ValueError: a weight below 0, an unknown space, or one that the loss does not support.
+        ValueError: an unknown space, or one that the loss does not support.
 
     Attributes:
         needs_depth: whether it counts only pixels whose depth is known.
@@ -98,8 +98,6 @@ class WeightedTerm(nn.Module):
     ) -> None:
         super().__init__()
         one_of("applies_to", applies_to, ("metric", "relative"))
-        if weight < 0:
-            raise ValueError(f"weight={weight}: a loss weight must be 0 or more")
         one_of("space", space, SPACES)
         if space not in loss.spaces:
             raise ValueError(

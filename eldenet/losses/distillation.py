@@ -92,9 +92,6 @@ class DistilledTerm(WeightedTerm):
         feature_weight: weight of an additional term that compares backbone features; 0: outputs only.
         feature_strides: strides of the features to compare. Where channels differ, a 1x1 projection is
             trained with the student. Both networks need a ``network.backbone`` with ``feature_info``.
-
-    Raises:
-        ValueError: a weight below 0, or an unknown space.
     """
 
     needs_depth = False

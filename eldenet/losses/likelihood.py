@@ -37,7 +37,7 @@ class LikelihoodTerm(WeightedTerm):
             from it, most where the network is sure.
 
     Raises:
-        ValueError: a weight below 0, or an unknown distribution.
+        ValueError: an unknown distribution.
     """
 
     needs_spread = True

@@ -86,7 +86,7 @@ class Observer:
         walkers: track pedestrians: forget where they were, remember where they will be.
 
     Raises:
-        ValueError: an argument is out of range.
+        ValueError: an unknown speed law, or not one factor per turn rate.
     """
 
     def __init__(
@@ -106,10 +106,6 @@ class Observer:
         if len(turn_rates) != len(turn_factors) or not turn_rates:
             raise ValueError(
                 f"{len(turn_rates)} turn_rates and {len(turn_factors)} turn_factors: give one each"
-            )
-        if min(memory, bins, seen_through) < 0:
-            raise ValueError(
-                f"memory={memory}, bins={bins}, seen_through={seen_through}: give 0 or more of each"
             )
         self.robots, self.speed, self.bins, self.arcs = robots, speed, bins, arcs
         self.options = {

@@ -51,6 +51,7 @@ class Driver(Observer):
         self.options["slows_within"] = self.slows_within
 
     def _speeds(self, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+        """Speed of each action ``(N, actions)`` [m/s]."""
         return super()._speeds(distance * (SLOWS_WITHIN / self.slows_within), nearest)
 
 

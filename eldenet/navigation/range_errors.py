@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from eldenet.system.errors import reading
 from eldenet.system.files import read_json, write_text
 from eldenet.weights import check_packaged
 
@@ -72,13 +73,11 @@ class RangeErrors:
                 "docs/navigation_training.md"
             )
         check_packaged(Path(path))
-        try:
+        with reading(path, "file of range errors", "give packaged, or another file"):
             content = read_json(Path(path))
             lists = ("edges", "bias", "spread", "miss", "far", "sectors")
             errors = cls(**(content | {name: tuple(content[name]) for name in lists}))
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{path} contains no range errors: {error!r}") from error
-        check_edges(f"{path}: edges", errors.edges)
+            check_edges("edges", errors.edges)
         return errors
 
 

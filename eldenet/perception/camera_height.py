@@ -119,7 +119,7 @@ def measure_floors(
     *,
     known_pitch: bool,
 ) -> tuple[list[str], np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-    """Return the names of the frames, the log scale of each, and photo and depth [m] of ``SHOWN`` of them."""
+    """Return names and log scales ``(N,)`` of the frames, and photo and depth [m] of ``SHOWN`` of them."""
     predict = for_camera(predictor, camera.intrinsics)
     names: list[str] = []
     values: list[float] = []
@@ -152,7 +152,7 @@ def frames_of(source: Source, most: int) -> tuple[Iterator[tuple[str, np.ndarray
 
 
 def level_camera(intrinsics: Sequence[float] | np.ndarray, pitch: float | None) -> PinholeCamera:
-    """Return the camera, in a level frame if its ``pitch`` below the horizon [rad] is known."""
+    """Return the camera of ``(3, 3)``, in a level frame if its ``pitch`` below the horizon [rad] is known."""
     matrix = intrinsic_matrix(intrinsics)
     if pitch is None:
         return PinholeCamera(matrix)
@@ -200,7 +200,7 @@ def hides_a_floor(depth: np.ndarray, camera: PinholeCamera, plane: GroundPlane) 
 def floor_pixels(
     depth: np.ndarray, camera: PinholeCamera, plane: GroundPlane
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns of the pixels of the lower half that lie on ``plane``."""
+    """Return rows and columns ``(P,)`` of the pixels of the lower half that lie on ``plane``."""
     top = depth.shape[0] // 2
     rows, columns = (grid.ravel() for grid in np.indices(depth.shape))
     rows, columns = rows[top * depth.shape[1] :], columns[top * depth.shape[1] :]
@@ -224,7 +224,7 @@ def scale_of_all(floors: float, *, known_pitch: bool) -> float:
 
 
 def hold_out_floors(values: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of held-out frames and of those that fit the scale.
+    """Return the numbers ``(K,)`` of held-out frames and of those that fit the scale.
 
     Raises:
         ValueError: no frame of one of the two has a log scale.
@@ -241,7 +241,7 @@ def hold_out_floors(values: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarr
 
 
 def refuse_few(values: np.ndarray) -> None:
-    """Raise ValueError if too few frames have a log scale."""
+    """Raise ValueError if too few of the frames ``(N,)`` have a log scale."""
     found = int(np.isfinite(values).sum())
     if found < max(LEAST_FLOORS, LEAST_SHARE * len(values)):
         raise ValueError(
@@ -252,7 +252,7 @@ def refuse_few(values: np.ndarray) -> None:
 
 
 def draw(path: Path, frames: Sequence[tuple[np.ndarray, np.ndarray]], scale: float) -> None:
-    """Draw photos with their depth before and after, and a scale in meters."""
+    """Draw photos ``(H, W, 3)`` with their depth before and after, and a scale in meters."""
     rows = []
     for photo, depth in frames:
         near, far = visible_range(np.stack([depth, depth * scale]))

@@ -83,8 +83,6 @@ class BoxLifter:
         for name, sigma in (("depth_sigma", depth_sigma), ("small_sigma", small_sigma)):
             if sigma is not None and not 0 < sigma < 1:
                 raise ValueError(f"{name}={sigma}: give a relative error above 0 and below 1, such as 0.08")
-        if depth_sigma is None and small_sigma is not None:
-            raise ValueError(f"small_sigma={small_sigma} without depth_sigma: give both, or neither")
         self.method, self.priors, self.ground = method, priors, ground
         self.camera_height, self.depth_sigma, self.small_sigma = camera_height, depth_sigma, small_sigma
         self.occlusion_mask = occlusion_mask

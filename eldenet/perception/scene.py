@@ -12,7 +12,7 @@ from eldenet.boxes import Box3D, Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.deploy.viewer import WORLD, log_boxes, log_camera, log_depth
 from eldenet.geometry import PinholeCamera, check_intrinsics
-from eldenet.perception.detectors import Detector, check_frame
+from eldenet.perception.detectors import Detector
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import to_labels, write_labels
 from eldenet.perception.lifter import BoxLifter
@@ -141,15 +141,13 @@ class Perception:
         Raises:
             ValueError: the image is not uint8 RGB, depth or intrinsics do not fit it, or no camera is known.
         """
-        check_frame(image)
         camera = camera or self.camera
         if camera is None:
             raise ValueError("Perception has no camera: give camera=")
         check_intrinsics(camera.intrinsics, (image.shape[0], image.shape[1]))
         clock = [time.perf_counter()]
         if depth is None:
-            if self.depth_model is None:
-                raise ValueError("Perception has no depth model: give depth=")
+            assert self.depth_model is not None, "give depth="
             depth = for_camera(self.depth_model, camera.intrinsics)(image)
         clock.append(time.perf_counter())
         estimate = as_estimate(depth)

@@ -262,7 +262,7 @@ def test_a_failed_download_says_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_
 
     monkeypatch.setattr(torch.hub, "download_url_to_file", no_network)
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    with pytest.raises(RuntimeError, match=r"resnet18-.*\.pth.*pretrained: /path/to/resnet18-"):
+    with pytest.raises(RuntimeError, match=r"resnet18-.*\.pth.*pretrained: /path/to/file"):
         ResNet(18, pretrained=True)
 
 

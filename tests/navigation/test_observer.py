@@ -130,8 +130,6 @@ def test_arc_tables_agree_with_moving_the_footprint():
 @pytest.mark.parametrize(("options", "message"), [
     ({"speed": "fast"}, "speed='fast'"),
     ({"turn_rates": (1.0,)}, "give one each"),
-    ({"memory": -1}, "memory=-1"),
-    ({"seen_through": -1}, "seen_through=-1"),
 ])  # fmt: skip
 def test_options_out_of_range_are_refused(options, message):
     with pytest.raises(ValueError, match=message):

@@ -251,7 +251,7 @@ def test_errors_are_stored_in_a_small_file(tmp_path, put_in):
     with pytest.raises(FileNotFoundError, match="no range errors"):
         RangeErrors.read(tmp_path / "none.json")
     path.write_text(json.dumps({"edges": [1]}))
-    with pytest.raises(ValueError, match="contains no range errors"):
+    with pytest.raises(ValueError, match="not a valid file of range errors"):
         RangeErrors.read(path)
 
 

@@ -54,11 +54,6 @@ def test_depth_image_and_camera_must_fit_together(view):
     camera = PinholeCamera(pinhole(100.0, 100.0, view.image.shape[1] + 5.0, 20.0))
     with pytest.raises(ValueError, match="lies outside the picture"):
         perceive(view, view.detections, camera=camera)
-    without_model = Perception(None, FixedDetections([]), BoxLifter(), view.camera)
-    with pytest.raises(ValueError, match="give depth="):
-        without_model(view.image)
-    with pytest.raises(ValueError, match="frame is"):
-        without_model(view.image[..., 0])
 
 
 def test_detections_convert_to_supervision(view):

@@ -165,7 +165,7 @@ class PlanAndSteer(OnRobot):
         return {int(robot): points[row == number] for number, robot in enumerate(who)}
 
     def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> None:
-        """Search the path again every second, and immediately when the robot goes round in a circle."""
+        """Search the path from ``pose (3,)`` every second, and at once when the robot drives a circle."""
         trail = self._trails[robot]
         way = trail[-1][2] + math.dist(trail[-1][:2], pose[:2]) if trail else 0.0
         trail.append((float(pose[0]), float(pose[1]), way))
@@ -186,7 +186,10 @@ class PlanAndSteer(OnRobot):
     def _waypoint(
         self, robot: int, pose: np.ndarray, goal: np.ndarray, walls: np.ndarray
     ) -> tuple[float, float]:
-        """Distance left on the path [m] and bearing of its farthest point in a free straight line [rad]."""
+        """Distance left on the path [m] and bearing of its farthest point in a free straight line [rad].
+
+        ``pose (3,)`` is in the map's frame; ``goal (2,)`` has distance and bearing.
+        """
         path = self._paths[robot]
         distance, bearing = float(goal[0]), float(goal[1])
         at = np.array([distance * math.cos(bearing), distance * math.sin(bearing)])
@@ -205,7 +208,10 @@ class PlanAndSteer(OnRobot):
         return to_robot(centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)], pose)
 
     def _careful(self, robot: int, bearing: float, walls: np.ndarray) -> tuple[float, float]:
-        """Command of the dynamic window; where that can only stand, back up or turn on the spot."""
+        """Command of the dynamic window; where that can only stand, back up or turn on the spot.
+
+        ``walls (M, 2)`` are remembered points in the robot's frame [m], here and below.
+        """
         target = DWA_AHEAD * math.cos(bearing), DWA_AHEAD * math.sin(bearing)
         last = tuple(self.observer.last[robot])
         self._backs[robot] = max(self._backs[robot] - 1, 0)
@@ -221,7 +227,7 @@ class PlanAndSteer(OnRobot):
         return 0.0, self._free_turn(bearing, last[1], walls)
 
     def _free_turn(self, bearing: float, last: float, walls: np.ndarray) -> float:
-        """Rate of a free turn on the spot, toward the target or as before [rad/s]; 0 if there is none."""
+        """Rate of a turn on the spot free of ``walls (M, 2)``, to the target or as before [rad/s]; else 0."""
         rates = self.observer.turn_rates.tolist()  # those of speed 0 are the table's first commands
         for rate in sorted(rates, key=lambda rate: -rate * math.copysign(1.0, last or bearing)):
             if rate and _along(self._table, walls, rates.index(rate))[0] >= HORIZON:
@@ -229,7 +235,7 @@ class PlanAndSteer(OnRobot):
         return 0.0
 
     def _fastest(self, action: int, distance: float, walls: np.ndarray, unseen: np.ndarray) -> float:
-        """Greatest speed [m/s] at which an action's arc has room and stays free to its end; 0 if none.
+        """Greatest speed [m/s] at which an action's arc has room among ``(M, 2)`` to its end; 0 if none.
 
         The driver's own law knows only the nearest obstacle, so it also slows beside a wall that it passes.
         """
@@ -242,7 +248,7 @@ class PlanAndSteer(OnRobot):
         return 0.0
 
     def _is_safe(self, robot: int, action: int, walls: np.ndarray, unseen: np.ndarray) -> bool:
-        """Whether an action's arc is free of obstacles, with room to turn, and of places never seen."""
+        """Whether an action's arc is free of ``walls (M, 2)``, with room to turn, and of unseen places."""
         observer = self.observer
         level = int(np.clip(np.rint(observer.speeds[robot, action] * _LEVELS), 0, _LEVELS))
         command = level * observer.actions + action
@@ -279,7 +285,7 @@ def is_free(target: np.ndarray, walls: np.ndarray) -> bool:
 
 
 def _along(table: ArcTable, points: np.ndarray, command: int) -> tuple[float, float]:
-    """Time until an arc meets a point [s], and its clearance [m]."""
+    """Time until an arc meets one of the points ``(M, 2)`` [s], and its clearance [m]."""
     near = (np.abs(points) < REACH).all(axis=1)
     if not near.any():
         return table.horizon, math.inf
