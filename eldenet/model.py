@@ -17,7 +17,6 @@ from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.geometry import in_meters
 from eldenet.heads import Head, add_channels
-from eldenet.renames import renamed
 from eldenet.system.checks import check_size
 from eldenet.system.digests import check_digests, with_digests
 from eldenet.system.files import read_json, write_bytes, write_text
@@ -236,7 +235,7 @@ class DepthNet(Configurable, nn.Module):
         """
         folder = _local_folder(source, revision)
         config = _read_config(folder)
-        model = build(renamed(config["model"]), trusted_modules)
+        model = build(config["model"], trusted_modules)
         if not isinstance(model, cls):
             raise ValueError(
                 f"{folder / CONFIG_NAME} describes a {type(model).__name__}, not a {cls.__name__}"

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.config import build_navigation
-from eldenet.renames import VALUES
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -36,13 +35,11 @@ def run(config: "DictConfig", folder: Path) -> None:
 
 
 def check_mode(words: Sequence[str]) -> None:
-    """Exit with a one-line error for an unknown mode; for an old name, it gives the new one."""
+    """Exit with a one-line error for an unknown mode."""
     for word in words:
         for mode in word.removeprefix("mode=").split(",") if word.startswith("mode=") else []:
             if mode not in MODES:
-                renamed = f"; {mode} is now {VALUES['mode', mode]}" if ("mode", mode) in VALUES else ""
-                line = f"error: mode={mode}: choose one of {', '.join(MODES)}{renamed}"
-                print(line, file=sys.stderr)  # noqa: T201
+                print(f"error: mode={mode}: choose one of {', '.join(MODES)}", file=sys.stderr)  # noqa: T201
                 sys.exit(1)
 
 

@@ -21,7 +21,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Bottom up. A module imports from its own package and from the lines above its own, never from its line.
 ORDER = """
-types configurable renames uncertainty
+types configurable uncertainty
 system layers
 compose weights
 geometry heads

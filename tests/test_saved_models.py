@@ -1,7 +1,6 @@
 """Networks are saved and read back."""
 
 import functools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -103,16 +102,6 @@ def test_new_info_is_added_to_the_old(tmp_path: Path) -> None:
     assert DepthPredictor(shared).size_for(120, 152) == DepthPredictor(model).size_for(120, 152) == (60, 76)
     model.save_pretrained(tmp_path / "tuned", info={"input_size": [96, 128]})  # drops the old frame size
     assert DepthPredictor(eldenet.load(tmp_path / "tuned")).size_for(120, 160) == (96, 128)
-
-
-def test_a_model_saved_before_an_option_was_renamed_loads(tmp_path: Path) -> None:
-    model = small_net(backbone=EfficientNetLite(1))
-    config = model.save_pretrained(tmp_path) / "config.json"
-    content = json.loads(config.read_text())
-    del content["sha256"]
-    content["model"]["network"]["backbone"]["size"] = content["model"]["network"]["backbone"].pop("variant")
-    config.write_text(json.dumps(content))
-    assert same_model(eldenet.load(tmp_path), model)
 
 
 def test_a_saved_model_does_not_name_its_pretrained_file(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from omegaconf import OmegaConf
 
 from eldenet.cli.commands import module_of
 from eldenet.compose import choices, command_of, compose_config, config_folder, groups, plain
-from eldenet.renames import KEYS, OPTIONS
 
 MEANT = {  # settings as other tools call them
     "weights": "checkpoint",
@@ -98,8 +97,6 @@ def advice(config_name: str, words: Sequence[str]) -> str:
         named = "source" in _settings(config_name, []) and os.path.exists(unread)
         return f"{unread} cannot be read: write {f'source={unread}' if named else 'setting=value'}"
     try:
-        if renamed := _renamed(config_name, words):
-            return renamed
         for job in _jobs(words):
             words = job
             compose_config(config_name, job)
@@ -148,19 +145,6 @@ def _parsed(word: str) -> Any:
         return OverridesParser.create().parse_overrides([word])[0]
     except OverrideParseException:
         return None
-
-
-def _renamed(config_name: str, words: Sequence[str]) -> str:
-    """Return a line on the first override whose setting has another name now, or ""."""
-    known = _settings(config_name, words)
-    for override in OverridesParser.create().parse_overrides(list(words)):
-        *parents, last = str(override.key_or_group).split(".")
-        new_parents = [KEYS.get(part, part) for part in parents]
-        target = known.get(".".join([*new_parents, "_target_"]))
-        new = ".".join([*new_parents, (KEYS | OPTIONS.get(str(target), {})).get(last, last)])
-        if new != override.key_or_group:
-            return f"{override.key_or_group} is now called {new}"
-    return ""
 
 
 def _choice(group: str, name: str, options: Sequence[str]) -> str:

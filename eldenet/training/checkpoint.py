@@ -14,7 +14,6 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.backbones.weights import read_torch
-from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences
 from eldenet.system.errors import reading
 from eldenet.system.files import copy_file, parse_json, part_file
@@ -110,7 +109,7 @@ class TrainingState:
         """
         state = load_checkpoint(path)
         with reading(path, "training checkpoint of eldenet", RESUME_ADVICE):
-            theirs = _renamed_identity(parse_json(state["identity"], "its identity"))
+            theirs = parse_json(state["identity"], "its identity")
         ours = json.loads(json.dumps(self.identity, sort_keys=True, default=str))
         different = differences(ours, theirs)
         if different:
@@ -157,16 +156,6 @@ def _checked_progress(stored: Mapping[str, Any], epochs: int, batches: int) -> d
     for name, most in limits.items():
         if not -1 <= found.get(name, 0) <= most:
             raise ValueError(f"progress.{name} is {found[name]}, but this training has {most}")
-    return found
-
-
-def _renamed_identity(identity: Mapping[str, Any]) -> dict[str, Any]:
-    """A stored identity with today's names of the trainer's and the schedule's options."""
-    found = renamed({"_target_": "eldenet.training.trainer.Trainer", **identity})
-    schedule = identity.get("scheduler", {})
-    found["scheduler"] = renamed({"_target_": f"eldenet.training.optim.{schedule.get('name')}", **schedule})
-    for part in (found, found["scheduler"]):
-        del part["_target_"]
     return found
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.evaluation.splits import chosen_protocol, open_split
-from eldenet.renames import renamed
 from eldenet.results.fingerprints import differences, run_differences
 from eldenet.results.run_record import RUN_FILE, read_run
 from eldenet.system.files import read_yaml
@@ -79,7 +78,7 @@ def checkpoint_to_resume(folder: Path, ckpt_path: str | None, settings: Mapping[
         return None
     begun = run_folder(checkpoint)
     if (begun / "config.yaml").is_file():  # the checkpoint itself knows what precision "auto" was
-        stored = renamed(read_yaml(begun / "config.yaml"))
+        stored = read_yaml(begun / "config.yaml")
         different = differences(settings, stored, ignored=frozenset(("precision",)))
         advice = "give another folder, or remove this one" if own else f"or start from its weights={begun}"
         _refuse(begun, "run begun with", different, advice)

@@ -14,7 +14,6 @@ from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.training import COMPARED, comparable
-from eldenet.renames import renamed
 from eldenet.system.files import read_json
 from eldenet.weights import located
 
@@ -138,7 +137,7 @@ def trained_policy(folder: Path, options: Sequence[str]) -> Path:
     made = read_json(note)
     config = compose_config("navigate", ["mode=train", *options])
     asked = json.loads(json.dumps(comparable({name: plain(config[name]) for name in COMPARED})))
-    there = {"goal": "known"} | comparable(renamed(made["config"]))
+    there = {"goal": "known"} | comparable(made["config"])
     others = [name for name in asked if there.get(name) != asked[name]]
     if others:
         raise ValueError(f"{folder} was trained with another {', '.join(others)}: delete it, or give --runs")

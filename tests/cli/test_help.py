@@ -7,7 +7,6 @@ import sys
 import pytest
 from support.composing import composed
 
-from eldenet import renames
 from eldenet.cli.commands import module_of
 from eldenet.cli.help import QUOTES, advice, quote_paths
 from eldenet.compose import config_folder
@@ -84,7 +83,6 @@ def test_the_reader_of_help_may_leave_before_its_end():
             "there is no setting world: --help lists all settings",
         ),
         ("train", ["seed=1"], ""),  # it failed for another reason
-        ("train", ["normalisation=dataset"], "normalisation is now called normalization"),
     ],
 )
 def test_a_mistyped_setting_gets_the_nearest_one(command, words, line):
@@ -98,17 +96,6 @@ def test_a_file_with_special_characters_needs_no_quotes_of_its_own(tmp_path):
     assert composed("predict", quote_paths([f"source={file}"])).source == str(file)
     as_typed = ["-m", "source=nothing (1).jpg", "seed=1,2", f'source="{file}"', "size=[1,2]"]
     assert quote_paths(as_typed) == as_typed
-
-
-@pytest.mark.parametrize("plus", ["", "+", "++"])
-def test_a_renamed_setting_gets_its_new_name(monkeypatch, plus):
-    monkeypatch.setitem(renames.OPTIONS, "eldenet.training.trainer.Trainer", {"backbone_rate": "ema"})
-    monkeypatch.setitem(renames.KEYS, "teaching", "trainer")
-    line = "trainer.backbone_rate is now called trainer.ema"
-    assert advice("train", [f"{plus}trainer.backbone_rate=0.1"]) == line
-    assert (
-        advice("train", ["data=kitti", "teaching.epochs=3"]) == "teaching.epochs is now called trainer.epochs"
-    )
 
 
 def test_commands_print_the_advice_as_their_last_line(run_command):

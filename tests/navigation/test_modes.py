@@ -13,7 +13,6 @@ from eldenet.navigation.noisy_ranges import PACKAGED_ERRORS
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity, sensor_identity
-from eldenet.renames import renamed
 from eldenet.weights import PACKAGED
 
 DRIVES = ("record", "evaluate")
@@ -60,23 +59,8 @@ def test_planners_have_no_checkpoint_and_paper_policies_set_their_observer():
         assert (paper.policy.path, paper.policy.observer.memory, paper.policy.observer.bins) == ("a", 6, 0)
 
 
-def test_settings_of_earlier_versions_are_renamed():
-    before = {
-        "mode": "watch", "film": "gif", "worlds": 3, "movers": 2,
-        "measure": {"places": "crossings", "looks": 8},
-        "learner": {"_target_": "eldenet.navigation.dqn.DQN", "steps": 5, "warmup": 1, "target_every": 2},
-    }  # fmt: skip
-    assert renamed(before) == {
-        "mode": "record", "video": "gif", "episodes": 3, "pedestrians": 2,
-        "fit_noise": {"places": "episodes", "scans": 8},
-        "learner": {"_target_": "eldenet.navigation.dqn.DQNSettings", "total_timesteps": 5,
-                    "learning_starts": 1, "target_update_interval": 2},
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize(("arguments", "message"), [
     (["mode=fly"], "error: mode=fly: choose one of record, evaluate, train\n"),
-    (["mode=watch"], "train; watch is now record"),
     (["density=500"], "density=500"),
     (["density=[5,20]"], "records one arena"),
     (["video=avi"], "video='avi': give one of gif, webp, mp4"),
@@ -107,8 +91,6 @@ def test_no_mode_replaces_the_record_of_another(tmp_path, record):
     with pytest.raises(ValueError, match=r"holds results of (evaluate|another command): give another"):
         refuse_to_replace(tmp_path, "record")
     refuse_to_replace(tmp_path, "train")  # writes none
-    (tmp_path / "run.json").write_text('{"mode": "watch"}')  # an earlier version's name
-    refuse_to_replace(tmp_path, "record")
 
 
 # --- what the modes write
