@@ -111,24 +111,17 @@ def test_mtans_label_arrays(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data[0]["labels"], np.where(values < 0, 255, values)[..., 0][None])
     assert data.class_names[6] == "class 6"
     assert "labels" not in CityscapesMTAN(root, split="trainval", labels="auto")[0]
-    for wrong in (values + 0.5, values * 100, values * np.nan, values[..., [0, 0]]):
-        np.save(root / "val/label_7/0.npy", wrong)
-        with pytest.raises(
-            ValueError, match=r"label_7/0\.npy is .*expected \(H, W\) of whole numbers 0 to 18"
-        ):
-            data[0]
-    np.save(root / "val/label_7/0.npy", values[:-1])
-    with pytest.raises(ValueError, match=r"label_7/0\.npy is 15x24, .*depth/0\.npy is 16x24"):
+    np.save(root / "val/label_7/0.npy", values * 100)
+    with pytest.raises(ValueError, match=r"label_7/0\.npy is .*expected \(H, W\) of whole numbers 0 to 18"):
         data[0]
 
 
 def test_missing_and_wrong_labels_are_named(root: Path) -> None:
     data = Cityscapes(root, split="official_val", labels=True)
     file = next((root / "gtFine/val").rglob("*.png"))
-    for wrong in (IDS + 40, IDS.astype(np.uint16), np.stack([IDS] * 3, -1)):
-        layouts.picture(file, wrong)
-        with pytest.raises(ValueError, match=r"munster_000000_000019_gtFine_labelIds\.png"):
-            data[0]
+    layouts.picture(file, IDS + 40)
+    with pytest.raises(ValueError, match=r"munster_000000_000019_gtFine_labelIds\.png"):
+        data[0]
     layouts.picture(file, IDS[:-2])
     with pytest.raises(ValueError, match=r"labelIds\.png is .*disparity\.png is .*one size"):
         data[0]

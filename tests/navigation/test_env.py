@@ -1,9 +1,7 @@
 """The Gymnasium environment."""
 
-import importlib
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,16 +62,6 @@ def test_registration_loads_no_simulator():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
     )
     assert shown.stdout.splitlines() == ["False", "(39,)"]
-
-
-def test_the_entry_point_registers_the_environment():
-    import tomllib
-
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    module, _, function = project["entry-points"]["gymnasium.envs"]["eldenet"].partition(":")
-    gym.registry.pop("eldenet/ArenaNav-v0", None)
-    getattr(importlib.import_module(module), function)()
-    assert "eldenet/ArenaNav-v0" in gym.registry
 
 
 def test_noisy_is_the_same_as_in_the_command():

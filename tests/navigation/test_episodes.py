@@ -8,7 +8,6 @@ import pytest
 from eldenet.navigation.cameras import camera
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
-from eldenet.navigation.planners.astar import AStarDWA
 from eldenet.navigation.planners.online_map import TIGHT, OnlineMap
 from eldenet.navigation.planners.paths import shortest_path
 from eldenet.navigation.policy import Navigator
@@ -23,18 +22,6 @@ from eldenet.simulation.robot import ROBOT
 
 def empty(start=(0.0, 0.0, 0.0), *waypoints) -> Arena:
     return Arena("", 0, 0, (), start, waypoints or ((8.0, 0.0),))
-
-
-def test_a_star_sees_all_four_walls():
-    planner = AStarDWA()
-    planner.reset(0, ArenaWorld(empty()))
-    points = planner._points[0]
-    for axis in (0, 1):
-        for side in (-1, 1):
-            wall = points[np.abs(points[:, axis] * side - 9.975) < 1e-6]
-            assert len(wall) == 400
-    inside = np.abs(points).max(axis=1) < 9.9
-    assert not inside.any()
 
 
 def test_a_touch_is_a_collision_even_with_the_wheels_in_the_air():

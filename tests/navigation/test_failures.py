@@ -7,10 +7,8 @@ import pytest
 from support.scripts import load_scripts
 
 from eldenet.navigation.episodes import EpisodeSettings
-from eldenet.navigation.evaluation import as_rows, run_episodes
-from eldenet.navigation.latency import Predictive
+from eldenet.navigation.evaluation import run_episodes
 from eldenet.navigation.planners.straight import Straight
-from eldenet.navigation.policy import Navigator
 from eldenet.navigation.sensors import Ranges
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import Obstacle
@@ -78,40 +76,6 @@ def test_time_outs_are_failures_and_successes_are_not():
     assert failure.remaining == pytest.approx(9.0 - 7.3, abs=0.8)
     with pytest.raises(ValueError, match="of the first run"):
         trace(worlds, rows, straight, Ranges(), EpisodeSettings(time_limit=60.0))
-
-
-def test_a_learnt_driver_s_failures_are_traced_too():
-    def packaged(robots: int) -> Navigator:
-        return Navigator.load(walkers=True, slows_within=1.0, robots=robots)
-
-    worlds = [arena(goal=(9.0, 0.0))]
-    rows = run_episodes(worlds, packaged, Ranges(), EpisodeSettings(time_limit=3.0))
-    (failure,) = trace(worlds, rows, packaged, Ranges(), EpisodeSettings(time_limit=3.0))
-    assert failure.kind == "timeout"
-    assert failure.remaining == pytest.approx(9.0 - 3.0, abs=1.5)
-
-
-def test_the_worst_are_drawn_and_listed():
-    worlds = [arena(AHEAD), arena(goal=(9.0, 0.0)), arena(BEHIND, goal=(-6.0, 0.0), start=(0.0, 0.0, 3.14))]
-    rows = run_episodes(worlds, straight, Ranges(), EpisodeSettings(time_limit=8.0))
-    found = trace(worlds, rows, straight, Ranges(), EpisodeSettings(time_limit=8.0))
-    assert len(found) == 3
-    picture = draw_worst(found, across=2)
-    assert picture.shape == (960, 960, 3)
-    assert (picture[480:, 480:] == 255).all()  # an empty place
-    assert draw_worst(found, most=1).shape == (480, 480, 3)
-    worst = max(found, key=lambda failure: failure.remaining)
-    assert (draw_worst(found, most=1) == worst.picture).all()
-    names, lines = as_rows(found, without=["picture"])
-    assert "picture" not in names
-    assert len(lines) == 3
-
-
-def test_a_driver_that_knows_its_latency_is_judged_by_its_own_observer():
-    driver = Navigator.load(slows_within=1.0)
-    plain, predictive = failures._witness(driver), failures._witness(Predictive(driver, 0.2))
-    assert type(predictive) is type(plain)
-    assert predictive.options == plain.options
 
 
 def test_a_large_robot_touches_with_its_own_edge():

@@ -10,7 +10,6 @@ from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.range_errors import RangeErrors
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.simulation.robot import ROBOT
 
 (fit,) = load_scripts("table5_success", "fit_range_errors")
 
@@ -75,18 +74,6 @@ def test_exact_ranges_have_no_errors():
     assert errors.bias == errors.spread == errors.miss == (0.0,) * 6
     with pytest.raises(ValueError, match="scan in more arenas"):
         fit.fit_errors(fit.Scans(true[:3], true[:3], np.zeros(3, int)))
-
-
-def test_a_distance_with_few_columns_takes_the_errors_of_the_nearest_filled_one():
-    rng = np.random.default_rng(0)
-    true = rng.uniform(2.2, 2.8, (200, ROBOT.columns))
-    true[:3, :6] = 0.5  # 18 columns in the nearest bin, none in the next
-    scans = fit.Scans(true * np.exp(rng.normal(0.1, 0.05, true.shape)), true, np.zeros(200, int))
-    errors = fit.fit_errors(scans)
-    assert errors.bias == pytest.approx([errors.bias[2]] * 6)
-    assert errors.spread == pytest.approx([0.05] * 6, abs=0.01)
-    assert errors.column == pytest.approx(1.0, abs=0.1)
-    assert errors.scale < 0.3
 
 
 def test_the_script_writes_errors_that_noisy_reads(tmp_path, monkeypatch, capsys):

@@ -206,8 +206,3 @@ def test_a_doubtful_far_reading_does_not_free():
         remembered[trusted] = len(observer.memory.near(np.zeros((1, 3)))[0])
     assert remembered[True] == 0
     assert remembered[False] > 20
-
-
-def test_a_cautious_range_that_is_not_finite_is_refused():
-    with pytest.raises(ValueError, match="cautious not finite: stop the robot"):
-        Observer().observe(senses()._replace(cautious=np.full((1, ROBOT.columns), np.nan)))

@@ -54,19 +54,6 @@ def test_steps_drive_as_the_simulator_s_driver_does(make, latency):
         assert by_steps.seconds == pytest.approx(other.seconds, abs=0.4)  # the frame of steps starts at zero
 
 
-@DRIVERS
-def test_it_drives_by_a_depth_map_and_stops_without_one(make):
-    driver = make()
-    seen = driver.step(np.full((480, 640), 6.0), (5.0, 0.0), (0.0, 0.0, 0.0), intrinsics=CAMERA)
-    assert seen[0] > 0.1
-    blind = driver.step(np.zeros((480, 640)), (5.0, 0.0), (0.1, 0.0, 0.0), intrinsics=CAMERA)
-    assert blind == (0.0, 0.0)
-    assert driver.stop_reason == "no value of depth is known"
-    assert driver.step(np.full(40, 6.0), (5.0, math.nan), (0.1, 0.0, 0.0)) == (0.0, 0.0)
-    driver.step(np.full(40, 6.0), (5.0, 0.0), (0.1, 0.0, 0.0))
-    assert driver.stop_reason is None
-
-
 @pytest.fixture(scope="module")
 def indoor():
     return eldenet.DepthPredictor(eldenet.load("eldenet_indoor"), uncertainty=True)

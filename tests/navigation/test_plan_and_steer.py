@@ -8,7 +8,7 @@ import pytest
 from eldenet.navigation.episodes import Episodes, EpisodeSettings
 from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.observer import Senses
-from eldenet.navigation.planners.plan_and_steer import SIDEWAYS, PlanAndSteer, is_circle, is_free, sideways
+from eldenet.navigation.planners.plan_and_steer import SIDEWAYS, PlanAndSteer, is_circle, sideways
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity
@@ -97,17 +97,6 @@ def test_it_backs_up_where_it_can_only_stand():
     assert driver._careful(0, 0.0, np.concatenate([walls, behind])) == (0.0, 0.0)
 
 
-def test_a_robot_that_can_neither_go_nor_back_up_turns_on_the_spot(monkeypatch):
-    driver = PlanAndSteer()
-    monkeypatch.setattr(driver._window, "choose", lambda *_: (0.0, 0.0))
-    angles = np.linspace(-np.pi, np.pi, 200)
-    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    speed, rate = driver._careful(0, -2.7, 0.5 * ring)
-    assert speed == 0
-    assert rate < 0  # to the right, where the target is
-    assert driver._careful(0, -2.7, 0.4 * ring) == (0.0, 0.0)  # its corners would touch
-
-
 def test_a_circle_is_a_place_again_after_a_way():
     turn = np.linspace(0, 2 * np.pi, 60)
     around = [(np.cos(t), np.sin(t), t) for t in turn]
@@ -115,13 +104,6 @@ def test_a_circle_is_a_place_again_after_a_way():
     assert not is_circle(around[:45])
     assert not is_circle([(0.1 * k, 0.0, 0.1 * k) for k in range(100)])
     assert not is_circle([(0.0, 0.0, 0.0)] * 100)  # it waits
-
-
-def test_a_straight_line_is_free_if_points_are_beside_it():
-    ahead = np.array([3.0, 0.0])
-    assert is_free(ahead, np.array([[1.5, 0.5], [-0.5, 0.0], [3.5, 0.0]]))
-    assert not is_free(ahead, np.array([[1.5, 0.3]]))
-    assert is_free(ahead, np.empty((0, 2)))
 
 
 def test_results_name_the_policy_that_steers():

@@ -56,14 +56,6 @@ def test_a_factor_is_found_within_three_percent_or_left_alone(factor, turn):
         assert not left_alone
 
 
-@pytest.mark.parametrize("factor", [0.85, 1.15])
-def test_corrected_ranges_are_the_true_ones(factor):
-    true, corrected = drive(factor, RangeScale())[-1]
-    known = (true * factor > ROBOT.near) & (true * factor < ROBOT.far)
-    assert np.allclose(corrected[known], true[known], rtol=0.025)
-    assert not np.allclose(true[known] * factor, true[known], rtol=0.1)
-
-
 def test_readings_at_the_ends_of_the_camera_stay():
     scale = RangeScale()
     scale.factor = 1.2

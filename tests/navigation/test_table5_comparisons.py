@@ -35,24 +35,6 @@ def test_a_sensor_s_loss_is_tested_in_pairs(study):
     assert comparisons.loss(tables, "wheels", "ranges") == []
 
 
-def test_the_default_is_compared_with_all_others(study):
-    comparisons = study("comparisons")
-    tables = {
-        ("wheels", "ranges", "dqn", "5"): [episodes([True] * 6 + [False] * 4)],
-        ("wheels", "ranges", "dwa", "5"): [episodes([False] * 10)],
-    }
-    assert comparisons.paired(tables, "wheels", "ranges")[0].startswith("| dqn against")
-    assert [line[:19] for line in comparisons.paired(tables, "wheels", "ranges")[2:]] == [
-        "| dwa | 5 | 6 | 0 |"
-    ]
-    tables["wheels", "ranges", "dqn_ensemble", "5"] = [episodes([True] * 9 + [False])]
-    lines = comparisons.paired(tables, "wheels", "ranges")
-    assert [line.split(" | ")[:4] for line in lines[2:]] == [
-        ["| dqn", "5", "3", "0"],
-        ["| dwa", "5", "9", "0"],
-    ]
-
-
 def test_time_is_compared_over_all_trainings_in_pairs(study, monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER.parent / "table6_time"))
     sys.modules.pop("run", None)

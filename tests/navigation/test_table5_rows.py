@@ -59,13 +59,6 @@ def test_a_new_row_leaves_the_stored_rows_of_its_method_alone(rows, command, tmp
     assert len(stored["environments"]) == 1
 
 
-def test_every_stored_row_has_episodes_and_a_note(rows):
-    episodes, notes = rows.stored_episodes(FOLDER / "rows"), rows.read_notes(FOLDER / "rows" / rows.NOTES)
-    assert len(episodes) == len(notes) > 100
-    for labels, crossings in episodes.items():
-        assert len(crossings) == int(labels[rows.LABELS.index("worlds")])
-
-
 def test_a_camera_s_row_depends_on_its_network_and_the_renderer(rows, command, tmp_path, monkeypatch):
     (tmp_path / "net" / "model").mkdir(parents=True)
     weights = tmp_path / "net" / "model" / "model.safetensors"
@@ -93,29 +86,6 @@ def test_a_row_depends_on_how_its_method_drives(rows, methods, tmp_path, monkeyp
         after = rows.key_of(row, options, DEFAULT_WEIGHTS, "of them")
         assert [name for name in before if before[name] != after[name]] == ["drives"]
         before = after
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"methods": "straight,,magic"}, "'magic'"),
-        ({"sensors": "sonar"}, "'sonar'"),
-        ({"courses": "6"}, "'6'"),
-        ({"sensors": "ranges@0.1"}, "light is for camera and objects only"),
-        ({"sensors": "camera@dark", "depth": "truth"}, "number above 0"),
-        ({"sensors": "camera"}, "--depth is missing"),
-        ({"sensors": "camera", "depth": "owner/model"}, "--depth owner/model: no model folder"),
-        ({"sensors": "objects", "depth": "truth"}, "--detector is missing"),
-        (
-            {"sensors": "objects", "depth": "truth", "detector": "none.onnx"},
-            "--detector none.onnx: no such file",
-        ),
-        ({"sensors": "noisy", "errors": "none.json"}, "--errors none.json"),
-    ],
-)
-def test_what_there_is_not_is_refused(command, tmp_path, options, message):
-    with pytest.raises(ValueError, match=message):
-        list(command.all_rows(given(tmp_path, **options)))
 
 
 def test_learnt_rows_are_trainings_of_the_command(methods):
@@ -156,22 +126,6 @@ def test_a_training_of_other_settings_or_version_is_refused(rows, tmp_path):
         rows.policy_file(row, options)
     shutil.rmtree(folder)  # the table is rebuilt without its trainings
     assert rows.policy_file(row, options).read_bytes() == DEFAULT_WEIGHTS.read_bytes()
-
-
-def test_a_part_does_not_replace_the_whole_table(command, tmp_path):
-    table = tmp_path / "tables.csv"
-    assert command.results_name(given(tmp_path)) == "results-2"
-    assert command.results_name(given(tmp_path, goal="odometry")) == "results-2-goal-odometry"
-    assert command.results_name(given(tmp_path, out="mine")) == "mine"
-    command.refuse_to_drop(table, "mine", [("wheels", "dwa")])
-    columns = ("physics", "method", "success")
-    command.write_table(table, "mine", columns, [("wheels", "dwa", "1"), ("wheels", "dqn", "2")])
-    command.write_table(table, "other", columns, [("wheels", "straight", "3")])
-    command.refuse_to_drop(table, "mine", [("wheels", "dwa"), ("wheels", "dqn"), ("wheels", "straight")])
-    with pytest.raises(ValueError, match="such as wheels, dqn"):
-        command.refuse_to_drop(table, "mine", [("wheels", "dwa")])
-    command.write_table(table, "mine", columns, [("wheels", "dwa", "4")])
-    assert [row[-1] for row in command.tables_of(table)] == ["3", "4"]
 
 
 def test_the_whole_command_writes_headings_with_what_fed_them(rows, study, tmp_path, monkeypatch):

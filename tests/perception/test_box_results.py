@@ -14,7 +14,6 @@ from eldenet.boxes import Detections2D
 from eldenet.compose import compose_config
 from eldenet.config import build_prediction
 from eldenet.deploy.prediction import predict
-from eldenet.deploy.video_files import open_video
 from eldenet.perception.box_results import box_results
 from eldenet.perception.kitti_object import read_labels
 from eldenet.perception.scene import Scene
@@ -54,15 +53,6 @@ def test_predict_draws_boxes_and_writes_kittis_format(run, tmp_path, capsys):
     assert re.search(r"boxes: median depth [\d.]+ ms, detect [\d.]+ ms, lift [\d.]+ ms per picture", said)
     with pytest.raises(ValueError, match="already exist"):
         run(source, "formats=[color]")
-
-
-def test_a_detector_in_the_place_of_its_path_is_refused_in_one_line(model_folder, tmp_path):
-    source = write_image(tmp_path / "photo.png")
-    options = [f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{tmp_path}/out'", "boxes=true"]
-    with pytest.raises(
-        ValueError, match=r"^perception\.detector=d\.onnx: give the file as perception\.dete.*$"
-    ):
-        build_prediction(compose_config("predict", [*options, "perception.detector=d.onnx", INTRINSICS]))
 
 
 def test_depth_that_contradicts_known_sizes_is_said_and_boxes_are_recorded(run, tmp_path, capsys):
@@ -149,15 +139,6 @@ def test_without_intrinsics_the_principal_point_is_the_center(given, run, tmp_pa
     assert (tmp_path / "out/photo_boxes.txt").read_text() == expected
     assert expected.count("dog") == 1
     assert ASSUMED in " ".join(capsys.readouterr().out.split())
-
-
-def test_a_field_of_view_suffices_for_the_boxes_of_a_video(run, tmp_path):
-    source = tmp_path / "walk.mp4"
-    with open_video(source, 10) as add:
-        for _ in range(2):
-            add(np.full((128, 256, 3), 90, np.uint8))
-    run(source, "intrinsics=null", "fov=66")
-    assert len(read_labels(tmp_path / "out/walk/000001_boxes.txt").types) == 2
 
 
 @pytest.mark.parametrize(

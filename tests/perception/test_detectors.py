@@ -40,26 +40,6 @@ def test_a_torchvision_network_gets_images_in_its_own_precision():
     assert (double.xyxy >= -0.5).all()
 
 
-def test_a_torchvision_network_may_answer_in_bfloat16():
-    class Halved(torch.nn.Module):
-        """The interface only: torchvision's own networks do not run in bfloat16 on a CPU."""
-
-        def __init__(self):
-            super().__init__()
-            self.layer = torch.nn.Conv2d(3, 1, 1, dtype=torch.bfloat16)
-
-        def forward(self, images):
-            (image,) = images
-            assert self.layer(image).shape == (1, *FRAME.shape[:2])
-            boxes = torch.from_numpy(WANTED).to(image)
-            score = torch.tensor([0.5, 0.25]).to(image)
-            return [{"boxes": boxes, "scores": score, "labels": torch.tensor([1, 2]), "masks": None}]
-
-    found = TorchvisionDetector(Halved(), ("nothing", "car", "dog"))(FRAME)
-    np.testing.assert_array_equal(found.xyxy, WANTED[:1] - 0.5)
-    assert (found.classes, found.score.tolist()) == (["car"], [0.5])
-
-
 def test_a_person_on_a_bicycle_becomes_a_cyclist_with_both_masks():
     xyxy = np.array([[10, 10, 30, 60], [5, 35, 40, 75], [80, 10, 95, 60], [100, 0, 150, 50.0]])
     mask = np.zeros((4, 80, 160), bool)

@@ -86,7 +86,3 @@ def test_doubtful_boxes_are_dashed_and_marked():
     marked = draw_boxes(BLANK, unsure, CAMERA) != draw_boxes(BLANK, unsure, CAMERA, labels=False)
     plain = draw_boxes(BLANK, sure, CAMERA) != draw_boxes(BLANK, sure, CAMERA, labels=False)
     assert np.ptp(np.nonzero(marked)[1]) > np.ptp(np.nonzero(plain)[1])  # a longer label
-
-
-def test_a_view_far_beyond_the_usual_has_a_grid_too():
-    assert draw_bev(boxes([3.0, 0.8, 20.0]), CAMERA, 320, size=(412, 300), reach=500.0).shape == (412, 300, 3)

@@ -95,16 +95,6 @@ def test_2d_boxes_keep_identities_apart_where_the_depth_jumps():
     assert len(seen[False]) > 2
 
 
-def test_the_speed_in_the_image_holds_for_frames_at_any_times():
-    """A camera that drops frames: 0.1 s without the object, then a pause of 0.9 s."""
-    tracker = BoxTracker()
-    for seconds, at in ((0.1, 0.0), (0.1, None), (0.9, 100.0)):  # 100 px in 1 s
-        place = np.array([[at or 0.0, 0.0, (at or 0.0) + 200.0, 80.0]])
-        seen = Boxes3D.empty(("car",)) if at is None else boxes([0.0, 0.8, 10.0])
-        tracker(seen, seconds, place[: len(seen)])
-    assert tracker.tracks[0].xyxy_speed == pytest.approx([100.0, 0.0])
-
-
 def test_the_distance_keeps_identities_apart_where_2d_boxes_overlap():
     """A car drives past a parked one that stands farther away, and hides it for a while."""
     tracker = BoxTracker()

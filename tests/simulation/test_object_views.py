@@ -43,8 +43,3 @@ def test_the_pieces_of_a_room_have_the_indices_of_their_bodies():
                 assert model.geom_pos[geoms, 2].max() > 1.0
     found = [render_objects("train", index, SIZE, "room").detections.classes for index in range(4)]
     assert {name for classes in found for name in classes} <= {"furniture", "person"}
-
-
-def test_unknown_kinds_are_refused():
-    with pytest.raises(ValueError, match="kind="):
-        render_objects("train", 0, SIZE, "moon")
