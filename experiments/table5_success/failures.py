@@ -19,7 +19,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from eldenet.config import build_navigation, compose
+from eldenet.compose import compose_config
+from eldenet.config import build_navigation
 from eldenet.navigation.collision_arcs import STEP
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.evaluation import OUTCOMES, Episode, Policy, as_rows, run_episodes
@@ -229,7 +230,7 @@ def draw_worst(failures: Sequence[Failure], most: int = 12, across: int = 4) -> 
 
 def main(words: Sequence[str]) -> None:
     """Run the episodes of the settings in ``words``; write a table and a picture of the failures."""
-    config = compose("navigate", ["mode=evaluate", "output=runs/failures", *words])
+    config = compose_config("navigate", ["mode=evaluate", "output=runs/failures", *words])
     folder = Path(config.output)
     setup = build_navigation(config, folder)
     choose_resources(device="cpu", precision="fp32", threads=setup.threads)

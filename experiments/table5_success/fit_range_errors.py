@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.config import build_navigation, compose, plain
+from eldenet.compose import compose_config, plain
+from eldenet.config import build_navigation
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.evaluation import Policy
 from eldenet.navigation.observer import SECTORS
@@ -224,7 +225,7 @@ def main() -> None:
     args = parser.parse_intermixed_args()
     check_edges("--edges", args.edges)
     defaults = ["mode=evaluate", "sensor=camera", "split=val", "output=runs/fitted"]
-    config = compose("navigate", [*defaults, *args.settings])
+    config = compose_config("navigate", [*defaults, *args.settings])
     setup = build_navigation(config, Path(config.output))
     choose_resources(device="cpu", precision="fp32", threads=setup.threads)
     sensor = setup.make_sensor()

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from eldenet.compose import compose_config
+from eldenet.compose import compose_config, plain
 from eldenet.configurable import instantiate
 from eldenet.navigate import MODES
 from eldenet.navigation.modes import refuse_to_replace
@@ -155,7 +155,7 @@ def test_drivers_and_sensors_are_identified_by_content(tmp_path):
     assert identity is not None
     weights = sha256(DEFAULT_WEIGHTS.read_bytes())
     assert identity["files"] == [{"file": str(DEFAULT_WEIGHTS), "sha256": weights}]
-    sensor = instantiate(compose_config("navigate", ["sensor=objects"]).sensor)
+    sensor = instantiate(plain(compose_config("navigate", ["sensor=objects"]).sensor))
     depth = sha256((PACKAGED / "eldenet_arenas" / "model.safetensors").read_bytes())
     assert sensor_identity(sensor) == {"depth": {"source": "eldenet_arenas", "sha256": depth}}
     (tmp_path / "detector.onnx").write_bytes(b"finds")

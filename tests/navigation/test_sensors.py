@@ -8,7 +8,7 @@ from support.networks import canonical_predictor
 
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.boxes import Boxes3D, Detections2D
-from eldenet.compose import compose_config
+from eldenet.compose import compose_config, plain
 from eldenet.configurable import instantiate
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.geometry import to_corner
@@ -176,7 +176,7 @@ def test_a_detectors_file_replaces_the_ideal_detector(tmp_path):
     config = compose_config(
         "navigate", ["sensor=objects", "sensor.checkpoint=null", f"sensor.detector={path}"]
     )
-    sensor = instantiate(config.sensor)
+    sensor = instantiate(plain(config.sensor))
     assert sensor.sources["detector"] == (str(path), path)
     scan = instance_of(sensor).scan()
     assert len(scan.boxes) == len(WANTED)  # those of the file, whatever the frame shows
@@ -195,7 +195,7 @@ def test_the_network_of_a_camera_is_told_the_robots_lens():
 )  # tests of the modes use noisy and camera
 def test_sensors_of_the_configs_scan(sensor):
     config = compose_config("navigate", [f"sensor={sensor}"])
-    instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
+    instance = instantiate(plain(config.sensor)).begin(ArenaWorld(ARENA), np.random.default_rng(0))
     assert instance.scan().ranges.shape == (ROBOT.columns,)
 
 
