@@ -27,7 +27,7 @@ from hydra.core.hydra_config import HydraConfig  # noqa: E402
 from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
 from omegaconf import MISSING, DictConfig, OmegaConf, open_dict  # noqa: E402
-from omegaconf.errors import OmegaConfBaseException  # noqa: E402
+from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException  # noqa: E402
 
 REQUIRED: Any = MISSING  # the default of a setting that has none
 #: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
@@ -86,7 +86,11 @@ def to_settings(settings: type[Settings], config: DictConfig, **changes: Any) ->
     for name in names:
         if OmegaConf.is_missing(config, name):
             raise ValueError(f"give {name}=... on the command line")
-    return settings(**{name: plain(config[name]) for name in names})
+    try:
+        return settings(**{name: plain(config[name]) for name in names})
+    except InterpolationToMissingValueError as error:
+        missing = str(error).partition("\n")[0].rpartition(": ")[2]
+        raise ValueError(f"give {missing}=... on the command line") from error
 
 
 def compose_config(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from eldenet.data.inspection import CheckDataSetup
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
-    from eldenet.deploy.demo import DemoSetup
-    from eldenet.deploy.exporting import ExportSetup
     from eldenet.deploy.prediction import PredictionSetup
     from eldenet.navigation.modes import ModeSetup
     from eldenet.results.comparison import ReportSetup
@@ -317,54 +315,6 @@ def _build_boxes(config: DictConfig, *, of_kitti: bool, is_video: bool) -> Calla
     perception = Perception(None, detector, lifter, None, tracker=tracker)
     by_depth = config.perception.lifter.get("method") != "no_depth"
     return functools.partial(box_results, perception, is_video=is_video, check_sizes=by_depth)
-
-
-def build_export(config: DictConfig) -> "ExportSetup":
-    """Return the setup of ``python -m eldenet.export``.
-
-    Raises:
-        ValueError: a setting is wrong.
-    """
-    from eldenet.deploy.exporting import ENDINGS, PRECISIONS, ExportSetup
-
-    kind, precision = str(config.format), str(config.precision)
-    one_of("format", kind, tuple(ENDINGS))
-    if precision not in PRECISIONS[kind]:
-        raise ValueError(
-            f"precision={precision}: for format={kind} choose from {', '.join(PRECISIONS[kind])}"
-            + ("; for bf16 give format=openvino" if precision == "bf16" else "")
-        )
-    _check_types(
-        config, ExportSetup, "batch", "opset", "overwrite", "pictures", "calibration", "checks", "license"
-    )
-    for name in ("calibration", "checks"):
-        if config[name] < 1:
-            raise ValueError(f"{name}={config[name]}: give the number of pictures, 1 or more")
-    output = None if config.output is None else Path(config.output).expanduser()
-    if output is not None and output.suffix != ENDINGS[kind]:
-        raise ValueError(f"output={output}: format={kind} needs a name that ends in {ENDINGS[kind]}")
-    check_sources(config, "checkpoint")
-    return _filled(
-        ExportSetup, config, size=_size(config, "size"), camera=_size(config, "camera"), output=output
-    )
-
-
-def build_demo(config: DictConfig) -> "DemoSetup":
-    """Return the setup of ``eldenet demo``.
-
-    Raises:
-        ValueError: a setting is wrong.
-    """
-    check_sources(config, "checkpoint")
-    if type(config.port) is not int or not 0 <= config.port <= 65535:
-        raise ValueError(f"port={config.port}: give a number from 0 (any free port) to 65535")
-    from eldenet.data.paths import default_cache
-    from eldenet.deploy.demo import DemoSetup
-
-    _check_types(config, DemoSetup, "serve", "browser")
-    output = default_cache() / "demo" if config.output is None else Path(config.output).expanduser()
-    trusted = tuple(listed(config.trusted_modules))
-    return _filled(DemoSetup, config, size=_size(config, "size"), output=output, trusted_modules=trusted)
 
 
 def build_benchmark(config: DictConfig) -> "BenchmarkSetup":

@@ -1,22 +1,262 @@
-"""``python -m eldenet.export``: a trained network as a file for other runtimes, checked against torch."""
+"""``python -m eldenet.export``: a trained network as a file for other runtimes, checked against torch.
 
+python -m eldenet.export checkpoint=runs/my-run
+python -m eldenet.export checkpoint=runs/my-run format=openvino precision=int8 pictures='photos/*.jpg'
+python -m eldenet.export checkpoint=runs/my-run batch=1 opset=13 camera=[480,640]
+"""
+
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+import eldenet
 from eldenet.cli.entry_point import entry_point
-from eldenet.config import build_export
+from eldenet.compose import REQUIRED, listed
+from eldenet.geometry import resize_image, size_of_aspect
+from eldenet.system.checks import check_size, one_of
+from eldenet.system.files import safe_stem
+from eldenet.uncertainty import DepthEstimate
+from eldenet.weights import find_checkpoint, name_of
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
+    from eldenet.model import DepthNet
+    from eldenet.results.run_log import RunLog
+
+ENDINGS = {"onnx": ".onnx", "openvino": ".xml"}
+PRECISIONS = {"onnx": ("fp32", "int8"), "openvino": ("fp32", "bf16", "int8")}
+FP32_TOLERANCE = 1e-3  # an fp32 file with a larger median relative difference is wrong, not rounded
+INT8_TOLERANCE = 0.02  # an int8 file with a larger median relative difference is worth a warning
+CAMERA_TOLERANCE = 5e-3  # with camera=: OpenCV rounds resized pictures to gray levels, the graph does not
 
 
-@entry_point("export")
-def main(config: "DictConfig", folder: Path) -> None:
-    """Export; ``folder`` is not used, the file goes to ``output``."""
-    from eldenet.deploy.exporting import export
+@dataclass(frozen=True)
+class ExportSettings:
+    """What ``python -m eldenet.export`` reads."""
 
-    export(build_export(config))
+    checkpoint: str = REQUIRED  # a run folder, a model folder, a Hub id, or a network's name (not trained)
+    format: str = "onnx"  # onnx, or openvino (.xml + .bin)
+    # fp32; int8, with scales from pictures; bf16 (openvino, on processors that have it)
+    precision: str = "fp32"
+    # (height, width) that the network sees [px]; null: the size of its training (after training on crops: of
+    # a whole frame at that scale), else 224 x 224; in the aspect of camera, if given
+    size: Any = None
+    batch: int | None = None  # fixed number of images; null: any
+    opset: int = 18  # ONNX opset: 18, or 11 to 17 for old boards
+    # (height, width) [px]: the file takes uint8 RGB frames and returns depth of this size, with resizing
+    # inside; null: it takes float images of size
+    camera: Any = None
+    # a folder, or a pattern such as 'photos/*.jpg', for the check and the scales of int8; null: the built-in
+    # rendered rooms
+    pictures: str | None = None
+    calibration: int = 128  # number of pictures for the scales of int8
+    checks: int = 8  # number of pictures for the comparison with torch, 1 or more
+    # of the weights, written into the file (data sets restricted to research pass the restriction on); null:
+    # the model's, else "not stated"
+    license: str | None = None
+    output: str | None = None  # null: exports/<model>-<height>x<width>-<precision>.onnx or .xml
+    overwrite: bool = False  # true: replace an existing file
+    trusted_modules: Any = field(default_factory=list)  # packages whose classes foreign weights may name
 
+    def __post_init__(self) -> None:
+        one_of("format", self.format, tuple(ENDINGS))
+        if self.precision not in PRECISIONS[self.format]:
+            raise ValueError(
+                f"precision={self.precision}: for format={self.format} choose from "
+                f"{', '.join(PRECISIONS[self.format])}"
+                + ("; for bf16 give format=openvino" if self.precision == "bf16" else "")
+            )
+        for name in ("calibration", "checks"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}={getattr(self, name)}: give the number of pictures, 1 or more")
+        if self.output is not None and Path(self.output).suffix != ENDINGS[self.format]:
+            raise ValueError(
+                f"output={self.output}: format={self.format} needs a name that ends in {ENDINGS[self.format]}"
+            )
+        check_size("size", self.size)
+        check_size("camera", self.camera)
+
+
+@dataclass(frozen=True)
+class Target:
+    """What to write: the settings, completed by the model where they leave something open."""
+
+    s: ExportSettings
+    name: str
+    size: tuple[int, int]
+    output: Path
+
+
+def export(s: ExportSettings) -> Path:
+    """Write the file, compare it with torch, and print what it contains.
+
+    Raises:
+        ValueError: the file already exists, the pictures are missing, or an fp32 file differs from torch.
+    """
+    find_checkpoint(s.checkpoint, "checkpoint")
+    from eldenet.deploy.metadata import describe
+    from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
+    from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
+    from eldenet.deploy.pictures import read_pictures
+    from eldenet.results.run_log import RunLog, untrained_note
+
+    model = eldenet.load(s.checkpoint, trusted_modules=listed(s.trusted_modules))
+    target = target_of(s, model)
+    size, output, log = target.size, target.output, RunLog(target.output.parent)
+    if find_checkpoint(s.checkpoint).kind == "network":
+        log.say(untrained_note(s.checkpoint))
+    if s.pictures is None:
+        log.say("pictures for the check: rendered rooms (yours: pictures=folder)")
+    pictures = read_pictures(s.pictures, s.checks, "test")
+    metadata = describe(model, target.name, size, camera_size=s.camera, license=s.license)
+    metadata["precision"] = s.precision
+    with tempfile.TemporaryDirectory() as temporary:
+        is_graph = s.format == "onnx" and s.precision == "fp32"  # all other files are made from it
+        graph = write_onnx(
+            model,
+            output if is_graph else Path(temporary) / "fp32.onnx",
+            size,
+            batch=s.batch,
+            opset=s.opset,
+            camera_size=s.camera,
+            metadata=metadata,
+        )
+        if s.precision == "int8":
+            frames = read_pictures(s.pictures, s.calibration, "train")
+            inputs = batches(frames, target)
+            log.say(f"int8: scales from {len(frames)} pictures")
+            if s.format == "onnx":
+                quantize_onnx(graph, output, inputs)
+            else:
+                quantize_openvino(graph, output, inputs, metadata)
+        elif s.format == "openvino":
+            write_openvino(graph, output, metadata)
+    compare_with_torch(target, model, pictures, log)
+    say_contents(output, log)
+    return output
+
+
+def target_of(s: ExportSettings, model: "DepthNet") -> Target:
+    """Name, size and output file of an export.
+
+    Raises:
+        ValueError: the output already exists.
+    """
+    from eldenet.deploy.metadata import UNTRAINED_SIZE
+    from eldenet.model import size_of_frames
+
+    height, width = s.size or size_of_frames(model.info) or UNTRAINED_SIZE
+    size = (int(height), int(width))
+    if s.camera is not None and s.size is None:
+        stretch = model.info.get("stretch") or 1.0
+        size = size_of_aspect(size, (s.camera[0], s.camera[1] * stretch))
+    name = name_of(s.checkpoint, model.info)
+    default = f"exports/{safe_stem(name)}-{size[0]}x{size[1]}-{s.precision}{ENDINGS[s.format]}"
+    output = Path(s.output or default).expanduser()
+    if output.exists() and not s.overwrite:
+        raise ValueError(f"{output} already exists: give another output=, or overwrite=true")
+    return Target(s, name, size, output)
+
+
+def batches(frames: Sequence[np.ndarray], target: Target) -> list[np.ndarray]:
+    """Pictures as the file takes them: one array each, repeated to a fixed batch."""
+    from eldenet.deploy.predictor import as_image
+
+    camera = target.s.camera
+    resized = [resize_image(frame, camera or target.size) for frame in frames]
+    inputs = [frame[None] if camera else as_image(frame) for frame in resized]
+    return [np.repeat(each, target.s.batch or 1, axis=0) for each in inputs]
+
+
+def compare_with_torch(
+    target: Target, model: "DepthNet", pictures: Sequence[np.ndarray], log: "RunLog"
+) -> None:
+    """Print the differences between torch and the file under each installed runtime, of depth and sigma.
+
+    Raises:
+        ValueError: an output of an fp32 file differs from torch's.
+    """
+    from eldenet.deploy import runtimes
+    from eldenet.deploy.predictor import DepthPredictor
+
+    s, output = target.s, target.output
+    seen = [resize_image(picture, s.camera or target.size) for picture in pictures]
+    outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
+    predictor = DepthPredictor(model, target.size, steady=False, uncertainty="sigma" in outputs)
+    if s.camera is None:
+        predictor.stretch = 1.0  # these pictures have the file's size already
+    reference = [predictor(frame) for frame in seen]
+    if not predictor.uncertainty:
+        reference = [DepthEstimate(depth) for depth in reference]
+    rows, inputs = [], batches(seen, target)
+    tolerance = CAMERA_TOLERANCE if s.camera else FP32_TOLERANCE
+    for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
+        try:
+            network = runtimes.load(output, name, threads=1)
+        except ValueError as error:
+            log.say(f"not compared under {name}: {error}")
+            continue
+        estimates = [network.predict(image) for image in inputs]
+        for kind in outputs:
+            ours = np.stack([getattr(estimate, kind)[0, 0] for estimate in estimates])
+            theirs = np.stack([getattr(estimate, kind) for estimate in reference])
+            found = map_errors(ours, theirs)
+            rows.append([name, kind, *(f"{value:.2g}" for value in found.values())])
+            if s.precision == "fp32" and not found["median_relative"] < tolerance:
+                raise ValueError(
+                    f"{kind} of {output} under {name} differs from torch: {found}; do not use it"
+                )
+            if s.precision == "int8" and found["median_relative"] > INT8_TOLERANCE:
+                log.say(
+                    f"warning: int8 {kind} under {name} is {found['median_relative']:.1%} off torch in the "
+                    f"median pixel and {found['max_relative']:.0%} in the worst; compare its accuracy, give "
+                    "pictures of the place where it will run, or keep fp32"
+                )
+    title = f"{target.name}, {s.precision}: the file beside torch on {len(seen)} pictures"
+    log.table(title, ["runtime", "output", "max [m]", "median [m]", "max, rel.", "median, rel."], rows)
+
+
+def say_contents(output: Path, log: "RunLog") -> None:
+    """Print the file's operations and its size."""
+    kinds = count_operations(output)
+    norms = sum(number for kind, number in kinds.items() if "BatchNorm" in kind)
+    counted = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common(4))
+    files = [output, output.with_suffix(".bin")]
+    megabytes = sum(path.stat().st_size for path in files if path.exists()) / 1e6
+    log.say(f"{kinds.total()} operations ({counted}, ...), {norms} batch normalizations")
+    log.say(f"written to {output} ({megabytes:.2f} MB)")
+
+
+def count_operations(path: str | Path) -> Counter[str]:
+    """Number of each operation in an ONNX or OpenVINO file, without constants."""
+    if Path(path).suffix == ".onnx":
+        from eldenet.system.onnx_files import read_graph
+
+        kinds = [node.op_type for node in read_graph(path).graph.node]
+    else:
+        import xml.etree.ElementTree as ElementTree
+
+        kinds = [layer.attrib["type"] for layer in ElementTree.parse(path).getroot().iter("layer")]
+    return Counter(kind for kind in kinds if kind not in ("Constant", "Const", "Parameter", "Result"))
+
+
+def map_errors(depth: np.ndarray, reference: np.ndarray) -> dict[str, float]:
+    """Largest and median difference of two maps, in meters and relative to the reference."""
+    meters = np.abs(depth.astype(np.float64) - reference)
+    relative = meters / np.abs(reference)
+    return {
+        "max_m": float(meters.max()),
+        "median_m": float(np.median(meters)),
+        "max_relative": float(relative.max()),
+        "median_relative": float(np.median(relative)),
+    }
+
+
+main = entry_point(ExportSettings)(export)
 
 if __name__ == "__main__":
     main()

@@ -86,16 +86,8 @@ def train(s: TrainSettings, overrides: Sequence[str] = ()) -> float:
 
 
 def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], overrides: Sequence[str]) -> float:
-    from eldenet.evaluation.splits import chosen_protocol, open_splits
-    from eldenet.results.fingerprints import fingerprints
     from eldenet.results.run_log import RunLog
-    from eldenet.results.score import score_best
-    from eldenet.results.tables import closing_table
-    from eldenet.training import notes
-    from eldenet.training.initialization import canonical_camera, check_loss, initial_model, model_info
-    from eldenet.training.normalization import normalization, write_normalization
     from eldenet.training.resume import checkpoint_to_resume, finished_value, run_folder
-    from eldenet.training.trainer import TrainingData
 
     loggers = listed(s.logger)
     log = RunLog(
@@ -105,6 +97,15 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
         log.say(f"{folder}: already finished")
         return best_value
     checkpoint = checkpoint_to_resume(folder, s.ckpt_path, settings)
+    from eldenet.evaluation.splits import chosen_protocol, open_splits
+    from eldenet.results.fingerprints import fingerprints
+    from eldenet.results.score import score_best
+    from eldenet.results.tables import closing_table
+    from eldenet.training import notes
+    from eldenet.training.initialization import canonical_camera, check_loss, initial_model, model_info
+    from eldenet.training.normalization import normalization, write_normalization
+    from eldenet.training.trainer import TrainingData
+
     resources = choose_resources(**s.runtime)
     protocol = chosen_protocol(s.data, s.protocol)
     loss = instantiate(s.loss, "loss")

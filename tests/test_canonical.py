@@ -126,12 +126,14 @@ HEADS_AND_DATA = [
 
 @pytest.mark.parametrize(("head", "data"), HEADS_AND_DATA)
 def test_heads_reach_every_depth_of_a_data_set_through_every_lens(head: str, data: str) -> None:
-    config = compose(TrainSettings, [f"data={data}", f"model/head={head}", "canonical_focal=0.8"])
+    config = compose(
+        TrainSettings, [f"data={data}", f"model/head={head}", "canonical_focal=0.8", *LISTS.get(data, [])]
+    )
     made = instantiate(config.model["head"])
     for focal in FOCAL_RANGE:
         meters = np.array([made.min_depth, made.max_depth]) * focal / CANONICAL
-        assert meters[0] <= config.data.min_depth * (1 + 1e-9)
-        assert meters[1] >= config.data.max_depth * (1 - 1e-9)
+        assert meters[0] <= config.data["min_depth"] * (1 + 1e-9)
+        assert meters[1] >= config.data["max_depth"] * (1 - 1e-9)
 
 
 @pytest.mark.parametrize("name", choices("protocol"))
@@ -145,7 +147,7 @@ def test_heads_reach_as_far_as_every_protocol_scores(name: str) -> None:
         words = [f"data={data}", f"protocol={name}", "canonical_focal=0.8", *LISTS.get(data, [])]
         config = compose(TrainSettings, words)
         protocol, head = chosen_protocol(config.data, config.protocol), instantiate(config.model["head"])
-        farthest = config.data.max_depth if name in UNLIMITED else protocol.max_depth
+        farthest = config.data["max_depth"] if name in UNLIMITED else protocol.max_depth
         for focal in FOCAL_RANGE:
             assert head.max_depth * focal / CANONICAL >= farthest * (1 - 1e-9), data
 
@@ -153,13 +155,13 @@ def test_heads_reach_as_far_as_every_protocol_scores(name: str) -> None:
 def test_without_a_canonical_camera_heads_keep_the_range_of_the_data() -> None:
     config = compose(TrainSettings, [])
     head = instantiate(config.model["head"])
-    assert (head.min_depth, head.max_depth) == (config.data.min_depth, config.data.max_depth)
+    assert (head.min_depth, head.max_depth) == (config.data["min_depth"], config.data["max_depth"])
     assert canonical_camera(config.canonical_focal, config.data["input_size"]) == {}
 
 
 @pytest.mark.parametrize(("words", "zoom"), [([], "depth"), (["canonical_focal=0.8"], "focal")])
 def test_a_zoom_is_a_longer_lens_where_the_network_knows_lenses(words: list[str], zoom: str) -> None:
-    assert compose(TrainSettings, words).augmentation.zoom == zoom
+    assert compose(TrainSettings, words).augmentation["zoom"] == zoom
 
 
 class Lenses(SyntheticDepth):

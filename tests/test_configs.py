@@ -196,4 +196,4 @@ def test_every_augmentation_runs(choice: str, tmp_path: Path) -> None:
     layouts.folder(tmp_path)
     config = compose(TrainSettings, ["data=folder", f"data.root={tmp_path}", f"augmentation={choice}"])
     sample = open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=True)[0]
-    assert sample["image"].shape == (3, *config.data.input_size)
+    assert sample["image"].shape == (3, *config.data["input_size"])

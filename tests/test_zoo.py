@@ -9,14 +9,16 @@ import torch
 from support.networks import picture, small_net
 
 import eldenet
-from eldenet import config as cfg
+from eldenet.compose import compose
 from eldenet.decoders.multi_kernel import MultiKernelDecoder
 from eldenet.deploy import runtimes
 from eldenet.evaluation.cost import count_params
+from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.heads import LogHead
 from eldenet.model import DepthNet
 from eldenet.refinement import JointBilateral
 from eldenet.results.fingerprints import sha256
+from eldenet.train import TrainSettings
 from eldenet.weights import PACKAGED
 
 NAMES = [
@@ -128,10 +130,8 @@ def test_packaged_weights_predict_depth(name, cache):
     """AbsRel on a few test frames of their kind of data; on all 512 it is 0.19 for rooms, 0.06 for arenas."""
     network, seen = name.rsplit("_", 1)
     few = ["data.frames.test=16", f"data.root={cache}"]
-    config = cfg.compose("train", [f"data={seen}", *few])
-    frames = cfg.open_split(
-        config.data, "test", cfg.chosen_protocol(config.data, config.protocol), score=True
-    )
+    config = compose(TrainSettings, [f"data={seen}", *few])
+    frames = open_split(config.data, "test", chosen_protocol(config.data, config.protocol), score=True)
     samples = [frames[index] for index in range(len(frames))]
     image, depth, mask = (
         torch.stack([sample[key] for sample in samples]) for key in ("image", "depth", "mask")

@@ -176,16 +176,15 @@ def on_post_build(config: MkDocsConfig) -> None:
 @functools.cache
 def built_demo() -> Path:
     """Build the page of ``eldenet demo`` once, however often ``mkdocs serve`` builds the site."""
-    from eldenet.config import build_demo, compose
     from eldenet.data.paths import default_cache
-    from eldenet.deploy.demo import demo
+    from eldenet.demo import DemoSettings, demo
 
     folder = Path(tempfile.mkdtemp(prefix="eldenet-demo-"))
     runtime = default_cache() / "demo" / "runtime"  # there after the first eldenet demo
     if runtime.is_dir():
         shutil.copytree(runtime, folder / "runtime")
     try:
-        demo(build_demo(compose("demo", [f"output={folder}", "serve=false"])))
+        demo(DemoSettings(output=str(folder), serve=False))
     except (ValueError, ImportError) as error:
         raise PluginError(f"the demo could not be built: {error}") from error
     return folder

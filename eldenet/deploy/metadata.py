@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 PREFIX = "eldenet."
+UNTRAINED_SIZE = (224, 224)  # [px] of a file whose network was trained at no single size
 DIGEST, PRODUCER = "digest", "eldenet"
 _NO_DIGEST = "0" * 64
 BLANK = f"sha256-of-all:{_NO_DIGEST}"

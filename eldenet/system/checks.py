@@ -13,7 +13,7 @@ def one_of(name: str, value: Any, allowed: Collection[Any]) -> None:
 
 
 def check_size(name: str, value: Any) -> tuple[int, int] | None:
-    """Return the ``(height, width)`` [px] that a file states under ``name``; None: it states none.
+    """Return the ``(height, width)`` [px] that a setting or a file gives under ``name``; None: it gives none.
 
     Raises:
         ValueError: it is something else, or absurdly large.
@@ -23,6 +23,6 @@ def check_size(name: str, value: Any) -> tuple[int, int] | None:
     sides = list(value) if isinstance(value, list | tuple) else []
     if len(sides) != 2 or not all(type(side) is int and 1 <= side <= LARGEST_SIDE for side in sides):
         raise ValueError(
-            f"{name} is {value!r}, but must be null or [height, width] in pixels, 1 to {LARGEST_SIDE} each"
+            f"{name}={value!r}: give [height, width] in pixels, 1 to {LARGEST_SIDE} each, or null"
         )
     return sides[0], sides[1]

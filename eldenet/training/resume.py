@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.results.fingerprints import differences, run_differences
 from eldenet.results.run_record import RUN_FILE, read_run
 from eldenet.system.files import read_yaml
@@ -40,6 +39,8 @@ def finished_value(folder: Path, ckpt_path: str | None, settings: Mapping[str, A
 
 def check_finished(folder: Path, record: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
     """Raise ValueError if the finished run of ``record`` had other settings or other frames."""
+    from eldenet.evaluation.splits import chosen_protocol, open_split
+
     different = run_differences(settings, record)
     processes = record.get("resources", {}).get("processes")  # absent in early records
     if processes not in (None, number_of_processes()):

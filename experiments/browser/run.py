@@ -17,7 +17,7 @@ import cv2
 import skimage.data
 from playwright.sync_api import Browser, Playwright, sync_playwright
 
-from eldenet.deploy.demo import open_server
+from eldenet.demo import open_server
 
 FRAMES = 100  # the page keeps the times of as many
 STATE = "import('./app.js').then(({ state }) => state)"

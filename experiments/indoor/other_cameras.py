@@ -46,7 +46,7 @@ def frames_of(place: str, rows: int) -> tuple[DepthDataset, EvalProtocol]:
             TrainSettings, [*data, f"data.input_size={size}", "data.val_fraction=0.5", "data.blocks=2"]
         )
         protocol = chosen_protocol(config.data, config.protocol)
-        config.data.val.split = "all"
+        config.data["val"]["split"] = "all"
         return open_split(config.data, "val", protocol), protocol
 
 

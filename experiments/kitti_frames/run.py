@@ -129,7 +129,7 @@ def score(model: nn.Module, frames: Frames, size: Sequence[int], scale: str) -> 
     config = compose(EvaluateSettings, ["checkpoint=none", *overrides, f"data.input_size={list(size)}"])
     protocol = chosen_protocol(config.data, config.protocol)
     if frames.split is not None:
-        config.data.test.split = frames.split
+        config.data["test"]["split"] = frames.split
     found = evaluate(
         model,
         open_split(config.data, "test", protocol, score=True),

@@ -11,14 +11,13 @@ import numpy as np
 import torch
 
 import eldenet
-from eldenet.compose import compose, compose_config
-from eldenet.config import build_export
+from eldenet.compose import compose
 from eldenet.data.base import DepthDataset
 from eldenet.deploy import runtimes
-from eldenet.deploy.exporting import export, map_errors
 from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.evaluation.splits import chosen_protocol, open_split
+from eldenet.export import ExportSettings, export, map_errors
 from eldenet.results.run_record import environment
 from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
@@ -54,7 +53,7 @@ def main() -> None:
             output = WORK / f"{runtime}-{precision}{'.onnx' if kind == 'onnx' else '.xml'}"
             words = [f"checkpoint='{checkpoint}'", f"format={kind}", f"precision={precision}", "checks=1"]
             words += [f"pictures='{pictures}'", f"output='{output}'", "overwrite=true"]
-            export(build_export(compose_config("export", words)))
+            export(compose(ExportSettings, words))
             network = RuntimeNetwork(runtimes.load(output, runtime, precision, threads=1))
         result = evaluate(network, val_set, protocol, batch_size=1)
         values = np.array([[float(row[delta1]) for row in result.rows]])

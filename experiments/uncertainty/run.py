@@ -112,7 +112,7 @@ def other_camera(place: str) -> tuple[DepthDataset, EvalProtocol]:
         words = [*data, f"data.input_size={size}", "data.val_fraction=0.5", "data.blocks=2"]
         config = compose(TrainSettings, [*words, "model_name=any", "output=any"])
         protocol = chosen_protocol(config.data, config.protocol)
-        config.data.val.split = "all"
+        config.data["val"]["split"] = "all"
         return open_split(config.data, "val", protocol), protocol
 
 

@@ -74,13 +74,13 @@ def test_data_builds_and_can_be_scored(given: list[str]) -> None:
     train = open_split(config.data, "train", protocol, augment=True)
     parts = {split: open_split(config.data, split, protocol) for split in ("val", "test")}
     assert not set(train.names) & set(parts["val"].names)
-    assert train[0]["image"].shape == (3, *config.data.input_size)
-    assert train[0]["depth"].shape == (1, *config.data.input_size)
+    assert train[0]["image"].shape == (3, *config.data["input_size"])
+    assert train[0]["depth"].shape == (1, *config.data["input_size"])
     for dataset in parts.values():
         assert dataset.ground_truth == protocol.ground_truth
         assert not set(train.names) & set(dataset.names)
         sample = dataset[0]
-        assert sample["image"].shape == (3, *config.data.input_size)
+        assert sample["image"].shape == (3, *config.data["input_size"])
         counts = protocol.valid_mask(sample["depth"][None], sample["mask"][None])
         assert counts.any()
         assert sample["depth"][0][~sample["mask"][0]].sum() == 0
@@ -100,7 +100,7 @@ def test_every_frame_has_a_camera_in_every_split(given: list[str]) -> None:
     for split in ("train", "val", "test"):
         sample = open_split(config.data, split, protocol, augment=split == "train")[0]
         (fx, _, cx), (_, fy, cy), _ = sample["intrinsics"].tolist()
-        if config.data.name in UNKNOWN_CAMERAS:
+        if config.data["name"] in UNKNOWN_CAMERAS:
             assert fx == 0
             continue
         height, width = sample["image"].shape[1:]
@@ -120,10 +120,10 @@ def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkey
         (f"{tmp_path}/nowhere", r"is not a folder: set data\.\w*root(.|\n)*Expected tree"),
         (str(tmp_path), r"(has no|none of) (.|\n)*Expected tree|no frames"),
     ):
-        config.data.root = root
+        config.data["root"] = root
         with pytest.raises((FileNotFoundError, ValueError), match=message):
             open_split(config.data, "train", protocol)
-    config.data.train.split = "testing"
+    config.data["train"]["split"] = "testing"
     with pytest.raises(ValueError, match="split='testing'"):
         open_split(config.data, "train", protocol)
 
@@ -146,7 +146,7 @@ def test_subset_draws_whole_frames(given: list[str]) -> None:
     whole = open_split(config.data, split, protocol)
 
     def subset(span: int | list[int], seed: int) -> DepthDataset:
-        config.data.subset[split], config.data.subset_seed = span, seed
+        config.data["subset"][split], config.data["subset_seed"] = span, seed
         return open_split(config.data, split, protocol)
 
     for seed in range(3):
@@ -225,22 +225,22 @@ def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None
     overrides.append("data.ground_truth=inpainted")
     config = compose(TrainSettings, overrides)
     protocol = chosen_protocol(config.data, config.protocol)
-    assert config.data.train.resize_on_load == config.data.input_size
+    assert config.data["train"]["resize_on_load"] == config.data["input_size"]
     small = open_split(config.data, "train", protocol)
     whole = open_split(config.data, "val", protocol)[0]
     assert whole["depth"].shape == (1, 228, 304)
     # the focal length [px] tells how much of the frame is seen: halved, cropped, then resized
-    expected = 518.8579 / 2 * config.data.input_size[1] / 304
+    expected = 518.8579 / 2 * config.data["input_size"][1] / 304
     torch.testing.assert_close(small[0]["intrinsics"][0, 0].item(), expected, rtol=1e-5, atol=1e-4)
 
 
 def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
     layouts.folder(tmp_path)
     config = compose(TrainSettings, ["data=folder", f"data.root={tmp_path}", "data.max_depth=5"])
-    config.data.ground_truth = "inpainted"
+    config.data["ground_truth"] = "inpainted"
     protocol = chosen_protocol(config.data, config.protocol)
     assert (protocol.max_depth, protocol.ground_truth) == (5.0, "inpainted")
-    assert plain(config.model.head)["max_depth"] == 5
+    assert plain(config.model["head"])["max_depth"] == 5
     typo = compose(TrainSettings, ["data=folder", f"data.root={tmp_path}", "+data.train.no_such_option=1"])
     with pytest.raises(ValueError, match="no_such_option"):
         open_split(typo.data, "train", protocol)

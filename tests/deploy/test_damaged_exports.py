@@ -14,11 +14,11 @@ from eldenet.config import build_benchmark
 from eldenet.deploy import runtimes
 from eldenet.deploy.benchmarking.measure import Case
 from eldenet.deploy.benchmarking.run import prepare
-from eldenet.deploy.exporting import ExportSetup, target_of
 from eldenet.deploy.metadata import DIGEST, check_seal, describe, is_whole
 from eldenet.deploy.onnx_export import write_onnx
 from eldenet.deploy.openvino_export import write_openvino
 from eldenet.deploy.runtimes.base import Runtime
+from eldenet.export import ExportSettings, target_of
 from eldenet.system.onnx_files import read_graph
 
 pytest.importorskip("onnxruntime")
@@ -113,10 +113,8 @@ def test_a_name_in_the_weights_cannot_leave_the_folder(
     trained_model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trained_model, "info", {"model_name": "../../ESCAPED"})
-    setup = ExportSetup(
-        "x", "onnx", "fp32", SIZE, None, 1, 18, None, False, None, 1, 1, None, ()
-    )  # fmt: skip
-    assert target_of(setup, trained_model).output.parent == Path("exports")
+    s = ExportSettings("x", size=list(SIZE))
+    assert target_of(s, trained_model).output.parent == Path("exports")
 
 
 def test_benchmark_exports_a_cut_file_again(tmp_path: Path) -> None:

@@ -13,11 +13,10 @@ import pytest
 import skimage.data
 
 import eldenet
-from eldenet.compose import compose_config
-from eldenet.config import build_demo
+from eldenet.compose import compose
 from eldenet.data.paths import default_cache
+from eldenet.demo import HEADERS, DemoSettings, build_page, install_runtime, open_server, page_facts
 from eldenet.deploy import runtimes
-from eldenet.deploy.demo import HEADERS, build_page, install_runtime, open_server, page_facts
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.results.run_log import RunLog
 from eldenet.visualization import color_depth
@@ -61,7 +60,8 @@ def page_folder(tmp_path_factory) -> Path:
     shutil.copytree(fetched, folder / "runtime")
     build_page(
         eldenet.load("eldenet_indoor"),
-        build_demo(compose_config("demo", [f"output={folder}"])),
+        compose(DemoSettings, []),
+        folder,
         RunLog(folder),
     )
     return folder

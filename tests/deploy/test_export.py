@@ -8,11 +8,11 @@ import pytest
 import torch
 
 import eldenet
-from eldenet.compose import compose_config
-from eldenet.config import build_export
-from eldenet.deploy import exporting, runtimes
-from eldenet.deploy.exporting import compare_with_torch, export, map_errors, read_pictures, target_of
+from eldenet.compose import compose
+from eldenet.deploy import pictures, runtimes
 from eldenet.deploy.metadata import read_metadata
+from eldenet.deploy.pictures import read_pictures
+from eldenet.export import ExportSettings, compare_with_torch, export, map_errors, target_of
 from eldenet.results.run_log import RunLog
 from eldenet.uncertainty import DepthEstimate
 
@@ -45,7 +45,7 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(folder: Path, photos: Path, *overrides: str) -> Path:
     quoted = [f"checkpoint='{folder}'", f"pictures='{photos}'", "calibration=6", "checks=2"]
-    return export(build_export(compose_config("export", [*quoted, *overrides])))
+    return export(compose(ExportSettings, [*quoted, *overrides]))
 
 
 def image_of(photos: Path) -> np.ndarray:
@@ -134,10 +134,10 @@ def test_export_says_why_it_renders_rooms(
     def render(*_: object) -> None:
         raise RenderedError
 
-    monkeypatch.setattr(exporting, "read_pictures", render)
+    monkeypatch.setattr(pictures, "read_pictures", render)
     words = [f"checkpoint='{model_folder}'", f"output='{tmp_path / 'r.onnx'}'"]
     with pytest.raises(RenderedError):
-        export(build_export(compose_config("export", words)))
+        export(compose(ExportSettings, words))
     assert "pictures for the check: rendered rooms (yours: pictures=folder)" in capsys.readouterr().out
 
 
@@ -157,7 +157,7 @@ def test_a_costly_int8_file_is_warned_of(
     """Above 2 % in the median, with the worst pixel beside it."""
     words = [f"checkpoint='{model_folder}'", "precision=int8", f"output='{tmp_path / 'q.onnx'}'"]
     model = eldenet.load(model_folder)
-    target = target_of(build_export(compose_config("export", words)), model)
+    target = target_of(compose(ExportSettings, words), model)
 
     class Int8:
         def predict(self, image: np.ndarray) -> DepthEstimate:
@@ -181,8 +181,8 @@ def test_a_costly_int8_file_is_warned_of(
         (["camera=5"], r"camera=5: give \[height, width\]"),
         (["output=depth.xml"], r"needs a name that ends in \.onnx"),
         (["batch=all"], "batch=all: give a whole number or null"),
-        (["overwrite=no"], "overwrite=no: give true or false"),
-        (["pictures=[a.jpg,b.jpg]"], r"pictures=\['a.jpg', 'b.jpg'\]: give a text or null"),
+        (["overwrite=maybe"], "overwrite=maybe: give true or false"),
+        (["pictures=[a.jpg,b.jpg]"], r"pictures=\[a.jpg,b.jpg\]: give a text or null"),
         (["calibration=0"], "calibration=0: give the number of pictures, 1 or more"),
         (["checks=-1"], "checks=-1: give the number of pictures, 1 or more"),
         (["checks=0"], "checks=0: give the number of pictures, 1 or more"),

@@ -11,12 +11,12 @@ from support.rooms_network import ROUNDING, SIZE
 
 import eldenet
 from eldenet.deploy import runtimes
-from eldenet.deploy.exporting import map_errors
 from eldenet.deploy.metadata import describe
 from eldenet.deploy.onnx_export import CameraNet, write_onnx
 from eldenet.deploy.openvino_export import write_openvino
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.module import RuntimeNetwork, measure_runtime_cost
+from eldenet.export import map_errors
 from eldenet.geometry import resize_image
 
 pytest.importorskip("onnxruntime")

@@ -8,8 +8,8 @@ from torch import nn
 
 import eldenet
 from eldenet.decoders.upconv import UpConv2d
-from eldenet.deploy.exporting import map_errors
 from eldenet.deploy.fold import fold, merge_upconv
+from eldenet.export import map_errors
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 

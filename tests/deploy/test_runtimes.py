@@ -12,12 +12,12 @@ from support.rooms_network import CAMERA, HALF, INT8, ROUNDING, SIZE
 import eldenet
 from eldenet import runtimes
 from eldenet.compose import compose
-from eldenet.deploy.exporting import count_operations, map_errors
 from eldenet.deploy.metadata import describe, read_metadata
 from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
 from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.evaluate import EvaluateSettings, open_checkpoint
+from eldenet.export import count_operations, map_errors
 from eldenet.model import DepthNet
 from eldenet.system.resources import Resources
 

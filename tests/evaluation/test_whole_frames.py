@@ -8,16 +8,15 @@ from support import layouts
 from support.networks import small_net
 
 from eldenet.compose import compose
-from eldenet.config import build_export
-from eldenet.configurable import compose_config, instantiate
+from eldenet.configurable import instantiate
 from eldenet.deploy import runtimes
-from eldenet.deploy.exporting import target_of
 from eldenet.deploy.metadata import describe
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluate import trained_size
 from eldenet.evaluation.splits import chosen_protocol, open_split
+from eldenet.export import ExportSettings, target_of
 from eldenet.geometry import resize_intrinsics
 from eldenet.model import DepthNet
 from eldenet.train import TrainSettings, train
@@ -41,7 +40,7 @@ def training(name: str, folder: Path) -> tuple[dict[str, Any], Any]:
     config = compose(TrainSettings, [*overrides, f"data.root={layout(folder)}"])
     protocol = chosen_protocol(config.data, config.protocol)
     frames = open_split(config.data, "train", protocol)
-    return trained_sizes(list(config.data.input_size), protocol, frames), frames
+    return trained_sizes(list(config.data["input_size"]), protocol, frames), frames
 
 
 @pytest.mark.parametrize("name", ["kitti", "kitti_raw", "kitti_paper"])
@@ -127,10 +126,10 @@ def network_of_crops() -> DepthNet:
 def test_files_and_runtimes_take_the_size_of_whole_frames(tmp_path: Path) -> None:
     model = network_of_crops()
     for size, overrides in ((WHOLE, []), (PART, [f"size={PART}"])):
-        config = compose_config(
-            "export", ["checkpoint=eldenet", f"output='{tmp_path / 'm.onnx'}'", *overrides]
+        config = compose(
+            ExportSettings, ["checkpoint=eldenet", f"output='{tmp_path / 'm.onnx'}'", *overrides]
         )
-        assert list(target_of(build_export(config), model).size) == size
+        assert list(target_of(config, model).size) == size
     network = runtimes.load(model, "torch", threads=1)
     assert network.info["input_size"] == tuple(WHOLE)
     assert DepthPredictor(network).size_for(120, 152) == tuple(WHOLE)

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from eldenet import config as cfg
+from eldenet.compose import compose
+from eldenet.configurable import instantiate
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.comparison import find_runs, group_rows, table_of
 from eldenet.results.run_log import RunLog
 from eldenet.results.studies.report import write_study_report
 from eldenet.results.tables import protocol_line, to_csv, to_latex, to_markdown
+from eldenet.train import TrainSettings
 
 RUN = {
     "model": "eldenet",
@@ -208,7 +210,7 @@ def test_runs_of_before_a_rule_existed_still_compare(tmp_path):
     ],
 )
 def test_the_protocol_line_says_what_of_the_frame_is_scored(name, scored):
-    rules = cfg.instantiate(cfg.compose("train", [f"protocol={name}"]).protocol).as_dict()
+    rules = instantiate(compose(TrainSettings, [f"protocol={name}"]).protocol).as_dict()
     rules = json.loads(json.dumps(rules))  # as a run.json holds them
     assert scored in protocol_line(run_with(protocol=rules))
 

@@ -137,7 +137,7 @@ def test_a_finished_run_without_a_best_value_and_an_evaluation(tmp_path, monkeyp
     with pytest.raises(ValueError, match=r"holds an evaluation.*give another folder"):
         train(config)
     write_json(tmp_path / "run.json", record | {"training": {"best_value": math.nan}})
-    monkeypatch.setattr("eldenet.training.resume.open_split", lambda *_, **__: SyntheticDepth(2))
+    monkeypatch.setattr("eldenet.evaluation.splits.open_split", lambda *_, **__: SyntheticDepth(2))
     assert math.isnan(train(config))
 
 

@@ -19,11 +19,11 @@ from eldenet.deploy.benchmarking.rows import (
     read_rows,
 )
 from eldenet.deploy.benchmarking.tables import read_accuracies, write_results
-from eldenet.deploy.exporting import read_pictures
 from eldenet.deploy.fold import fold
 from eldenet.deploy.metadata import describe, is_whole
 from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
 from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
+from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import as_image
 from eldenet.deploy.runtimes import TORCH, installed
 from eldenet.evaluation.cost import count_macs, count_params

@@ -6,8 +6,9 @@ import shutil
 import pytest
 from support.tiny_study import cells, short
 
-from eldenet import config as cfg
+from eldenet.compose import compose, config_folder
 from eldenet.results.packed_runs import RUNS, read_records
+from eldenet.train import TrainSettings
 
 
 def test_the_commands_run_and_report_a_study(tiny, run_command):
@@ -30,7 +31,7 @@ def test_a_row_with_a_network_from_outside_the_tree(tiny, run_command):
     """``--config-dir`` reaches the runs of a study, and its report."""
     project = tiny.parent
     (project / "my_configs" / "model").mkdir(parents=True)
-    shutil.copyfile(cfg.config_folder() / "model/eldenet_s.yaml", project / "my_configs/model/mine.yaml")
+    shutil.copyfile(config_folder() / "model/eldenet_s.yaml", project / "my_configs/model/mine.yaml")
     plan = (tiny / "sweep.yaml").read_text()
     (tiny / "sweep.yaml").write_text(
         short(plan) + "  mine: {overrides: [model=mine], learning_rate: 1.0e-3}\n"
@@ -42,7 +43,7 @@ def test_a_row_with_a_network_from_outside_the_tree(tiny, run_command):
     assert finished.returncode == 0, finished.stderr
     assert cells(tiny)["scratch/mine"]["seeds"] == "1"
     with pytest.raises(ValueError, match="mine"):  # nothing is left behind where nobody asked for it
-        cfg.compose("train", ["model=mine"])
+        compose(TrainSettings, ["model=mine"])
 
 
 @pytest.mark.slow

@@ -5,13 +5,14 @@ from pathlib import Path
 import pytest
 from support.stored_study import figures, history, store, write_plan
 
-from eldenet import config as cfg
+from eldenet.compose import compose
 from eldenet.results.studies.convergence import (
     convergence,
     curves,
     validation_loss,
 )
 from eldenet.results.studies.plan import Study
+from eldenet.train import TrainSettings
 
 
 @pytest.fixture
@@ -62,10 +63,10 @@ def test_a_curve_that_sparse_depth_does_not_have_is_left_out(study: Study) -> No
 
 def test_a_taught_run_is_compared_by_its_loss_on_the_labels() -> None:
     """A run with a teacher has a higher total; its curve is that of the labels, in every epoch."""
-    config = cfg.compose("train", ["model_name=a", "output=b", "loss=ssim_l1_distill", "teacher=big"])
+    config = compose(TrainSettings, ["model_name=a", "output=b", "loss=ssim_l1_distill", "teacher=big"])
     epochs = [{"epoch": 1, "train_total": 3.0, "train_distilled": 2.0}]
     epochs += [{"epoch": 2, "train_total": 1.5, "train_distilled": 0.75, "val_mse": 1.0}]
-    run = {"config": {"loss": cfg.plain(config.loss)}, "training": {"history": epochs}}
+    run = {"config": {"loss": config.loss}, "training": {"history": epochs}}
     found = curves(run)
     assert found["train_loss"] == ([1, 2], [1.0, 0.75])
     assert found["val_mse"] == ([2], [1.0])
@@ -82,6 +83,6 @@ def test_a_taught_run_is_compared_by_its_loss_on_the_labels() -> None:
     ],
 )
 def test_the_validation_loss_is_that_of_the_training_if_metrics_give_it(overrides, expected):
-    config = cfg.compose("train", ["model_name=a", "output=b", *overrides])
-    run = {"config": {"loss": cfg.plain(config.loss)}}
+    config = compose(TrainSettings, ["model_name=a", "output=b", *overrides])
+    run = {"config": {"loss": config.loss}}
     assert validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(expected)
