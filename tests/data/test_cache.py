@@ -41,7 +41,7 @@ def test_cached_samples_are_the_samples(name: str, kind: str, tmp_path: Path, mo
             config.data,
             layout.split,
             chosen_protocol(config.data, config.protocol),
-            augment=layout.split == "train",
+            augmentation=config.augmentation if layout.split == "train" else None,
         )
 
     # frames of their own sizes, as KITTI's, and frames made small

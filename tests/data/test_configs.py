@@ -71,7 +71,7 @@ def given(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_data_builds_and_can_be_scored(given: list[str]) -> None:
     config = compose(TrainSettings, given)
     protocol = chosen_protocol(config.data, config.protocol)
-    train = open_split(config.data, "train", protocol, augment=True)
+    train = open_split(config.data, "train", protocol, augmentation=config.augmentation)
     parts = {split: open_split(config.data, split, protocol) for split in ("val", "test")}
     assert not set(train.names) & set(parts["val"].names)
     assert train[0]["image"].shape == (3, *config.data["input_size"])
@@ -98,7 +98,8 @@ def test_every_frame_has_a_camera_in_every_split(given: list[str]) -> None:
     config = compose(TrainSettings, given)
     protocol = chosen_protocol(config.data, config.protocol)
     for split in ("train", "val", "test"):
-        sample = open_split(config.data, split, protocol, augment=split == "train")[0]
+        augmentation = config.augmentation if split == "train" else None
+        sample = open_split(config.data, split, protocol, augmentation=augmentation)[0]
         (fx, _, cx), (_, fy, cy), _ = sample["intrinsics"].tolist()
         if config.data["name"] in UNKNOWN_CAMERAS:
             assert fx == 0

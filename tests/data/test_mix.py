@@ -128,7 +128,7 @@ def test_a_subset_of_a_mix_is_refused(tmp_path, monkeypatch) -> None:
         TrainSettings, [*overrides, "data.sources.rooms.data.size=[16,24]", "+data.subset.train=3"]
     )
     with pytest.raises(ValueError, match=r"subset=3: .* set data\.frames"):
-        open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=False)
+        open_split(config.data, "train", chosen_protocol(config.data, config.protocol))
 
 
 def test_a_stopped_training_on_a_mix_resumes_to_the_same_weights(tmp_path) -> None:
@@ -164,7 +164,9 @@ def test_the_yaml_mixes_rendered_rooms_with_the_labeled_frames(tmp_path, monkeyp
     monkeypatch.setenv("ELDENET_CACHE", str(tmp_path / "cache"))
     rooms = ["data.sources.rooms.data.frames=8", "data.sources.rooms.data.size=[16,24]"]
     config = compose(TrainSettings, ["data=mix", "data.frames=6", "data.input_size=[24,32]", *rooms])
-    frames = open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=True)
+    frames = open_split(
+        config.data, "train", chosen_protocol(config.data, config.protocol), augmentation=config.augmentation
+    )
     kinds = {name.split("/")[0] for name in frames.names}
     assert kinds == {"nyu", "rooms"}
     assert {tuple(frames[0, index]["image"].shape) for index in range(6)} == {(3, 24, 32)}
@@ -178,8 +180,8 @@ def test_the_log_counts_the_frames_that_a_source_left_out(tmp_path, monkeypatch,
     monkeypatch.setenv("ELDENET_DATA", str(tmp_path))
     overrides = ["data=mix", "data.frames=500", "data.sources.rooms.weight=0"]
     config = compose(TrainSettings, [*overrides, "data.sources.nyu.data.on_error=skip"])
-    whole = open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=False)
+    whole = open_split(config.data, "train", chosen_protocol(config.data, config.protocol))
     whole.sources["nyu"].frames.frame_files(0)[0].write_bytes(b"no picture")
-    rest = open_split(config.data, "train", chosen_protocol(config.data, config.protocol), augment=False)
+    rest = open_split(config.data, "train", chosen_protocol(config.data, config.protocol))
     assert len(rest.names) == len(whole.names) - 1
     assert f"train: 1 of {len(whole.names)} frames left out, such as nyu/" in caplog.text

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from eldenet.compose import compose
+from eldenet.config import training_composition
 from eldenet.configurable import instantiate
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.comparison import find_runs, group_rows, table_of
@@ -286,7 +287,7 @@ def width_in_points(tabular: str) -> float:
 def test_the_latex_of_a_study_fits_a_page(name, tmp_path):
     shutil.copytree(EXPERIMENTS / "table3_rivals", tmp_path / "table3_rivals")  # table 2 has rows of it
     shutil.copytree(EXPERIMENTS / name, tmp_path / name)
-    write_study_report(tmp_path / name, cfg.training_composition())
+    write_study_report(tmp_path / name, training_composition())
     tables = (tmp_path / name / "results.tex").read_text().split(r"\end{tabular}}")[:-1]
     assert tables
     assert max(map(width_in_points, tables)) <= 345
