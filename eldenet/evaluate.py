@@ -84,20 +84,7 @@ def evaluate(s: EvaluateSettings) -> dict[str, Any]:
     size = chosen_size(s, protocol, model, log)
     if s.calibrated is not None:
         calibrate(s, Path(s.calibrated).expanduser(), protocol, resources, model, size, log)
-    record = score(
-        model,
-        folder,
-        asdict(s),
-        protocol,
-        resources,
-        log,
-        name=str(model.info.get("model_name", s.checkpoint)),
-        seed=model.info.get("seed"),
-        split=s.split,
-        input_size=size,
-        batch_size=s.batch_size,
-        measure=_measure,
-    )
+    record = score(model, asdict(s), protocol, resources, log, input_size=size, measure=_measure)
     closing_table(log, record)
     return record
 

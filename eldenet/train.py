@@ -152,7 +152,7 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
             "teacher": dict(loss.signature),
             "overrides": list(overrides),
         }
-        record = score_best(folder, settings, protocol, resources, log, facts, trusted)
+        record = score_best(settings, protocol, resources, log, facts, trusted)
         closing_table(log, record)
         for note in notes.after(splits, trainer, record):
             log.say(note)

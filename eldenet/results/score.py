@@ -27,7 +27,6 @@ RENDERED_FOR_A_CONSTANT = 512  # frames: as many as a test split has
 
 
 def score_best(
-    folder: Path,
     settings: Mapping[str, Any],
     protocol: EvalProtocol,
     resources: Resources,
@@ -37,31 +36,23 @@ def score_best(
 ) -> dict[str, Any]:
     """Score the best epoch of a training as anybody would load it; see :func:`score`."""
     return score(
-        DepthNet.from_pretrained(folder / "model", trusted_modules=trusted_modules),
-        folder,
+        DepthNet.from_pretrained(Path(settings["output"], "model"), trusted_modules=trusted_modules),
         settings,
         protocol,
         resources,
         log,
-        name=settings["model_name"],
-        seed=settings["seed"],
         facts=facts,
     )
 
 
 def score(
     model: nn.Module,
-    folder: Path,
     settings: Mapping[str, Any],
     protocol: EvalProtocol,
     resources: Resources,
     log: RunLog,
     *,
-    name: str,
-    seed: int | None,
-    split: str = "test",
     input_size: Sequence[int] | None = None,
-    batch_size: int = 16,
     measure: Callable[[Any, tuple[int, int]], CostReport] = measure_cost,
     facts: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -72,16 +63,12 @@ def score(
 
     Args:
         model: a :class:`~eldenet.model.DepthNet`, or an exported file as a module.
-        folder: of the run.
-        settings: of the command, which ``run.json`` stores; ``settings["data"]`` describes the frames.
+        settings: of the command, which ``run.json`` stores: ``output``, ``data``, and where they are not 16 and
+            the test split ``batch_size`` and ``split``.
         protocol: the rules.
         resources: device, threads, workers.
         log: what the person sees.
-        name: of the row in tables.
-        seed: of the training; None where it is not known.
-        split: "train", "val" or "test".
         input_size: ``(height, width)`` [px] that the network sees; None: the data set's own.
-        batch_size: of the evaluation.
         measure: network and ``(height, width)`` [px] -> its cost.
         facts: of the training, if there was one: ``training`` (its progress), ``skipped`` (split -> name ->
             reason), ``teacher`` (loss term -> source and hash) and ``overrides`` (of the command line).
@@ -89,7 +76,8 @@ def score(
     Returns:
         What was written to ``run.json``.
     """
-    facts, data = dict(facts or {}), settings["data"]
+    facts, data, folder = dict(facts or {}), settings["data"], Path(settings["output"])
+    split, batch_size = settings.get("split", "test"), settings.get("batch_size", 16)
     dataset = open_split(data, split, protocol, score=True, input_size=input_size)
     train_set = _training_set(data, protocol, input_size, dataset, log)
     result = _evaluate(model, dataset, protocol, resources, batch_size, f"evaluating on {split}", log)
@@ -105,7 +93,7 @@ def score(
     size = dataset[0]["image"].shape[-2:]
     skipped = {"train": {} if train_set is None else train_set.skipped, **facts.get("skipped", {})}
     record = {
-        "model": name,
+        "model": str(model.info.get("model_name", settings.get("checkpoint"))),
         "data": data["name"],
         "split": split,
         "split_hash": dataset.split_hash,
@@ -120,7 +108,7 @@ def score(
         "constant_predictor": None if constant is None else _evaluate(constant, *scored).metrics,
         "normalization": _normalization(model),
         "cost": asdict(measure(model, (size[0], size[1]))),
-        "seed": seed,
+        "seed": model.info.get("seed"),
         "resources": asdict(resources),
         "training": facts.get("training"),
         "overrides": facts.get("overrides", []),

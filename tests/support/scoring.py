@@ -47,5 +47,7 @@ def assert_same(ours: dict[str, float], expected: dict[str, float], rel: float =
 def score_small(s, folder: Path, split: str) -> dict:
     """``run.json`` of an untrained small network on a split, by the settings of a training."""
     protocol = chosen_protocol(s.data, s.protocol)
-    log = RunLog(folder)
-    return score(small_net(), folder, asdict(s), protocol, ONE_THREAD, log, name="small", seed=0, split=split)
+    model = small_net()
+    model.info = {"model_name": "small", "seed": 0}
+    settings = asdict(s) | {"output": str(folder), "split": split}
+    return score(model, settings, protocol, ONE_THREAD, RunLog(folder))
