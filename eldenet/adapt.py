@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.cli.entry_point import entry_point, refuse_unread
-from eldenet.compose import REQUIRED, listed
+from eldenet.compose import REQUIRED
 from eldenet.data.splits import check_folders
 from eldenet.system.files import sole_writer
 from eldenet.system.resources import choose_resources
@@ -76,7 +76,7 @@ def adapt(s: AdaptSettings) -> bool:
     """
     find_checkpoint(s.weights, "weights", trained=True)
     with sole_writer(Path(s.output)):
-        return _tune(s) if s.camera_height is None else _calibrate(s, s.camera_height)
+        return _tune(s) if s.camera_height is None else _calibrate(s)
 
 
 def _tune(s: AdaptSettings) -> bool:
@@ -91,7 +91,7 @@ def _tune(s: AdaptSettings) -> bool:
     return tune(asdict(s), Path(s.output), choose_resources(**s.runtime))
 
 
-def _calibrate(s: AdaptSettings, height: float) -> bool:
+def _calibrate(s: AdaptSettings) -> bool:
     from eldenet.deploy.prediction import find_source
     from eldenet.geometry import intrinsic_matrix
 
@@ -103,25 +103,13 @@ def _calibrate(s: AdaptSettings, height: float) -> bool:
         raise ValueError(
             "give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: the floor's height needs them"
         )
-    camera = intrinsic_matrix(s.intrinsics)
+    intrinsic_matrix(s.intrinsics)  # a mistake ends before torch is loaded
     source = find_source(s.source, Path(s.output), None)
     if source.is_live:
         raise ValueError(f"source={s.source}: give a folder of pictures or a video file, not a camera")
     from eldenet.perception.camera_height import calibrate
 
-    return calibrate(
-        s.weights,
-        source,
-        camera,
-        height,
-        None if s.camera_pitch is None else math.radians(s.camera_pitch),
-        Path(s.output),
-        choose_resources(**s.runtime),
-        frames=s.frames,
-        seed=s.seed,
-        trusted_modules=listed(s.trusted_modules),
-        settings=asdict(s),
-    )
+    return calibrate(asdict(s), source, Path(s.output), choose_resources(**s.runtime))
 
 
 @entry_point(AdaptSettings)

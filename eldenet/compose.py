@@ -77,12 +77,11 @@ def to_settings(settings: type[Settings], config: DictConfig, **changes: Any) ->
     Raises:
         ValueError: a setting is missing or unknown, or the dataclass refuses a value.
     """
-    for name, value in changes.items():
-        config[name] = value
+    config.update(changes)
     names = [field.name for field in fields(settings)]  # type: ignore[arg-type]
-    for name in config:
-        if name not in (*names, "hydra"):
-            raise ValueError(f"there is no setting {name}: --help lists all settings")
+    unknown = set(config) - {*names, "hydra"}
+    if unknown:
+        raise ValueError(f"there is no setting {min(map(str, unknown))}: --help lists all settings")
     for name in names:
         if OmegaConf.is_missing(config, name):
             raise ValueError(f"give {name}=... on the command line")

@@ -1,4 +1,4 @@
-"""What functions are given: few arguments, and no configs below ``config.py``."""
+"""What functions are given: few arguments, and no configs below ``compose.py``."""
 
 import ast
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "eldenet"
 MOST_ARGUMENTS = 8
 MORE_ARGUMENTS = {"step": 9}  # of a driver on a robot: all that its loop knows, by name
 
-#: A script that runs a command and prints each function below ``config.py`` that received a config.
+#: A script that runs a command and prints each function below ``compose.py`` that received a config.
 WATCHED = """
 import sys
 from importlib import import_module
@@ -23,7 +23,7 @@ from pathlib import Path
 command, *sys.argv[1:] = sys.argv[1:]
 found, calls = set(), []
 PACKAGE = str(Path(find_spec("eldenet").origin).parent)  # not "/eldenet/", where an environment may lie too
-TOP = ("config.py", "entry_point.py", "help.py", "navigate.py")  # the last: the mode is checked before main
+TOP = ("compose.py", "config.py", "entry_point.py", "help.py")
 
 
 def watch(frame, event, argument):
@@ -77,7 +77,7 @@ def test_no_function_takes_more_than_eight_arguments() -> None:
     ],
     ids=lambda words: words.split()[0],
 )
-def test_configs_end_in_config_py(words: str, tmp_path: Path, command_server) -> None:
+def test_configs_end_in_compose_py(words: str, tmp_path: Path, command_server) -> None:
     photo = tmp_path / "photo.png"
     write_picture(photo, np.full((48, 64, 3), 90, np.uint8))
     tiny = "data.size=[32,40] data.input_size=[32,40] data.frames={train:8,val:8,test:8} runtime.workers=0"

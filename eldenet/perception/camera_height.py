@@ -1,13 +1,15 @@
 """The scale of weights for a camera whose height above a visible floor is known."""
 
 import copy
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import eldenet
+from eldenet.compose import listed
 from eldenet.data.folder import val_blocks
 from eldenet.data.io import read_image
 from eldenet.data.splits import evenly_spaced
@@ -40,48 +42,28 @@ SHOWN = 3  # frames of the picture
 TITLES = ("image", "before", "after")
 
 
-def calibrate(
-    weights: str,
-    source: Source,
-    intrinsics: np.ndarray,
-    camera_height: float,
-    camera_pitch: float | None,
-    folder: Path,
-    resources: Resources,
-    *,
-    frames: int = 200,
-    seed: int = 0,
-    trusted_modules: Sequence[str] = (),
-    settings: Mapping[str, Any] | None = None,
-) -> bool:
+def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Resources) -> bool:
     """Fit the scale, check it on held-out frames, keep the better weights; return whether it is kept.
 
     Args:
-        weights: to start from.
+        s: settings of ``eldenet adapt camera_height=...``, which ``run.json`` stores.
         source: pictures in the order of time, or a video.
-        intrinsics: ``(3, 3)`` of its pictures [px].
-        camera_height: of the optical center above the floor [m].
-        camera_pitch: below the horizon [rad]; None: fitted in each frame.
         folder: of the run.
         resources: device, threads.
-        frames: used at most, evenly chosen.
-        seed: decides which blocks are held out.
-        trusted_modules: packages whose classes the weights' ``config.json`` may name.
-        settings: which ``run.json`` stores.
 
     Raises:
         ValueError: too few frames show a floor, or the factor of its depth is not plausible.
     """
-    start = eldenet.load(weights, trusted_modules=trusted_modules)
-    log = RunLog(folder)
-    known_pitch = camera_pitch is not None
+    start = eldenet.load(s["weights"], trusted_modules=listed(s["trusted_modules"]))
+    log, known_pitch = RunLog(folder), s["camera_pitch"] is not None
     predictor = DepthPredictor(start, device=resources.device, steady=False)
-    camera = level_camera(intrinsics, camera_pitch)
-    names, values, shown = measure_floors(
-        source, predictor, camera, camera_height, frames, log, known_pitch=known_pitch
+    pitch = math.radians(s["camera_pitch"]) if known_pitch else None
+    floors_of = Floors(
+        level_camera(intrinsic_matrix(s["intrinsics"]), pitch), s["camera_height"], known_pitch
     )
+    names, values, shown = measure_floors(source, predictor, floors_of, s["frames"], log)
     refuse_few(values)
-    held, fitted = hold_out_floors(values, seed)
+    held, fitted = hold_out_floors(values, s["seed"])
     floors = float(np.nanmedian(values[fitted]))
     check_scale(
         float(np.exp(floors)), "camera_height [m], camera_pitch [degrees], intrinsics [px] and weights"
@@ -93,7 +75,7 @@ def calibrate(
     log.say(f"{found} of {len(values)} frames show the floor; times {np.exp(floors):.2f} its depth is right")
     few = "this may be an error of the floor alone, so depth stays as it is"
     log.say(few if scale == 1 else f"all depth is multiplied by a part of that: {scale:.2f}")
-    say_changes(log, f"{weights}: floors of {changes['scale_error'].frames} held-out frames", changes)
+    say_changes(log, f"{s['weights']}: floors of {changes['scale_error'].frames} held-out frames", changes)
     model = copy.deepcopy(start)
     model.rescale(scale)
     rows = [[names[i], b, a] for i, b, a in zip(held, before, after, strict=True)]
@@ -104,33 +86,35 @@ def calibrate(
         "floor_scale": float(np.exp(floors)),
         "frames": len(values),
         "frames_with_floor": found,
-        "config": dict(settings or {}),
+        "config": dict(s),
     }
-    return record_change(folder, log, start, model, changes, weights, facts)
+    return record_change(folder, log, start, model, changes, s["weights"], facts)
+
+
+class Floors(NamedTuple):
+    """What is known of the floor: the level camera, its height [m], and whether its pitch is given."""
+
+    camera: PinholeCamera
+    height: float
+    known_pitch: bool
 
 
 def measure_floors(
-    source: Source,
-    predictor: DepthPredictor,
-    camera: PinholeCamera,
-    camera_height: float,
-    frames: int,
-    log: RunLog,
-    *,
-    known_pitch: bool,
+    source: Source, predictor: DepthPredictor, floors: Floors, most: int, log: RunLog
 ) -> tuple[list[str], np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
     """Return names and log scales ``(N,)`` of the frames, and photo and depth [m] of ``SHOWN`` of them."""
+    camera = floors.camera
     predict = for_camera(predictor, camera.intrinsics)
     names: list[str] = []
     values: list[float] = []
     shown: list[tuple[np.ndarray, np.ndarray]] = []
-    pictures, total = frames_of(source, frames)
+    pictures, total = frames_of(source, most)
     with log.bar("floors", total) as bar:
         for name, photo in pictures:
             check_intrinsics(camera.intrinsics, photo.shape[:2])
             depth = predict(photo)
             names.append(name)
-            values.append(log_scale(depth, camera, camera_height, known_pitch=known_pitch))
+            values.append(log_scale(depth, camera, floors.height, known_pitch=floors.known_pitch))
             if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
                 size = panel_size(photo)
                 shown.append((resize_image(photo, size), enlarged(depth, size)))

@@ -63,8 +63,8 @@ def score(
 
     Args:
         model: a :class:`~eldenet.model.DepthNet`, or an exported file as a module.
-        settings: of the command, which ``run.json`` stores: ``output``, ``data``, and where they are not 16 and
-            the test split ``batch_size`` and ``split``.
+        settings: of the command, which ``run.json`` stores: ``output``, ``data``, and ``split`` and
+            ``batch_size`` where they are not "test" and 16.
         protocol: the rules.
         resources: device, threads, workers.
         log: what the person sees.
@@ -76,6 +76,7 @@ def score(
     Returns:
         What was written to ``run.json``.
     """
+    info: Any = model.info
     facts, data, folder = dict(facts or {}), settings["data"], Path(settings["output"])
     split, batch_size = settings.get("split", "test"), settings.get("batch_size", 16)
     dataset = open_split(data, split, protocol, score=True, input_size=input_size)
@@ -93,7 +94,7 @@ def score(
     size = dataset[0]["image"].shape[-2:]
     skipped = {"train": {} if train_set is None else train_set.skipped, **facts.get("skipped", {})}
     record = {
-        "model": str(model.info.get("model_name", settings.get("checkpoint"))),
+        "model": str(info.get("model_name", settings.get("checkpoint"))),
         "data": data["name"],
         "split": split,
         "split_hash": dataset.split_hash,
@@ -108,7 +109,7 @@ def score(
         "constant_predictor": None if constant is None else _evaluate(constant, *scored).metrics,
         "normalization": _normalization(model),
         "cost": asdict(measure(model, (size[0], size[1]))),
-        "seed": model.info.get("seed"),
+        "seed": info.get("seed"),
         "resources": asdict(resources),
         "training": facts.get("training"),
         "overrides": facts.get("overrides", []),
