@@ -19,7 +19,7 @@ from eldenet.system.files import read_json
 from eldenet.system.resources import available_cores
 
 RUN_FILE = "run.json"
-ADVICE = "it was not written by eldenet's train or evaluate, or is damaged: restore it, or leave it out"
+ADVICE = "it is damaged, or another program or command wrote it: restore it, or leave it out"
 _PACKAGES = ["eldenet", "torch", "torchvision", "numpy", "kornia", "albumentations", "opencv-python-headless"]
 _PACKAGES += ["hydra-core", "accelerate", "torchmetrics", "mujoco"]
 

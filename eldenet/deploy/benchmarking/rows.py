@@ -5,17 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.results.record_checks import (
-    MAPPING,
-    MAYBE_TEXT,
-    TEXT,
-    WHOLE,
-    Kind,
-    ListOf,
-    check_shape,
-    figure,
-    require,
-)
+from eldenet.results.run_record import check_entries, check_figures
 from eldenet.system.digests import digest_of, weights_of
 from eldenet.system.files import parse_json
 
@@ -23,16 +13,11 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 ROWS_FILE = "rows.jsonl"
-ROW: dict[str, Any] = {
-    **dict.fromkeys(("model", "runtime", "precision", "device", "command", "date", "processor"), TEXT),
-    **dict.fromkeys(("height", "width", "batch", "threads"), WHOLE),
-    "key": ListOf(Kind("a text or a number", lambda value: isinstance(value, str | int))),
-    "versions": MAPPING,
-    "failed": MAYBE_TEXT,
-    **{name: figure(name) for name in ("params", "gmacs", "latency_ms_p50", "latency_ms_p95")},
-}
-FIGURES = ("gflops", "fps", "throughput_img_s", "peak_memory_mb", "file_mb", "gflops_per_s", "share_of_peak")
-ROW |= {name: figure(name) for name in (*FIGURES, "ratio_latency")}
+FIGURES: tuple[str, ...] = ("height", "width", "batch", "threads", "params", "gmacs", "gflops", "fps")
+FIGURES += ("latency_ms_p50", "latency_ms_p95", "ratio_latency", "throughput_img_s", "peak_memory_mb")
+FIGURES += ("file_mb", "gflops_per_s", "share_of_peak")
+ROW: tuple[str, ...] = ("key", "model", "runtime", "precision", "device", "command", "date", "processor")
+ROW += ("versions", "failed", *FIGURES)
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 
@@ -58,8 +43,8 @@ def read_rows(
             except ValueError:
                 continue
             where = f"{path}, line {number} (remove that line, and it is measured again)"
-            check_shape(where, row, ROW)
-            require(where, row, *ROW)
+            check_entries(where, row, *ROW)
+            check_figures(where, {name: row[name] for name in FIGURES})
             if wanted(row):
                 rows[tuple(row["key"])] = row
     return rows

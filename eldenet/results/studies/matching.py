@@ -101,11 +101,10 @@ def search_differences(
         record: the stored choice.
         given: as :func:`~eldenet.results.fingerprints.run_differences` takes it.
     """
-    rule, found = record["rule"], []
-    if list(candidates) != rule["candidates"]:
-        found.append(f"candidates={list(candidates)} (there {rule['candidates']})")
-    chosen = {"config": rule["config"], "sources": record["sources"]}
-    return found + run_differences(trial, chosen, ignored=frozenset(("lr",)), given=given)
+    rule = record["rule"]
+    asked = {"candidates": list(candidates), **trial}
+    chosen = {"config": {"candidates": rule["candidates"], **rule["config"]}, "sources": record["sources"]}
+    return run_differences(asked, chosen, ignored=frozenset(("lr",)), given=given)
 
 
 def outdated_search(study: Study, row: StudyRow, choice: Choice) -> list[str]:
