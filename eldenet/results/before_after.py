@@ -10,8 +10,8 @@ import numpy as np
 from eldenet.evaluation.bootstrap import bootstrap_interval
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, UNITS
 from eldenet.results.fingerprints import fingerprint
+from eldenet.results.paired_intervals import DRAWS
 from eldenet.results.run_record import RUN_FILE, environment
-from eldenet.results.statistics import DRAWS
 from eldenet.results.tables import WORDS
 from eldenet.system.files import write_json
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.results.statistics import Difference
+from eldenet.results.paired_intervals import Difference
 from eldenet.system.files import part_file
 
 

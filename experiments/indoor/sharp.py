@@ -20,8 +20,8 @@ from eldenet.compose import compose
 from eldenet.data.io import read_depth, read_image
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.evaluation.splits import chosen_protocol, open_split
+from eldenet.results.paired_intervals import Scores, paired_interval
 from eldenet.results.run_record import environment
-from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
 from eldenet.train import TrainSettings
 

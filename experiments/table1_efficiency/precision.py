@@ -18,8 +18,8 @@ from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.export import ExportSettings, export, map_errors
+from eldenet.results.paired_intervals import Scores, paired_interval
 from eldenet.results.run_record import environment
-from eldenet.results.statistics import Scores, paired_interval
 from eldenet.results.tables import to_markdown
 from eldenet.train import TrainSettings
 

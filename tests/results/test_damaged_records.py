@@ -14,8 +14,8 @@ from support.stored_study import figures, record_of, store, write_plan
 from eldenet.deploy.benchmarking.rows import ROWS_FILE, read_rows
 from eldenet.results.comparison import NEEDED_FOR_COSTS, ReportSetup, find_runs, report_runs
 from eldenet.results.packed_runs import RUNS, read_records
+from eldenet.results.paired_intervals import per_image
 from eldenet.results.run_record import read_record
-from eldenet.results.statistics import per_image
 from eldenet.system.files import write_json
 
 RNG = random.Random(0)

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, in_range
-from eldenet.results import statistics
+from eldenet.results import paired_intervals
 from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mixtures
-from eldenet.results.statistics import Difference
+from eldenet.results.paired_intervals import Difference
 from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.matching import outdated_search, stored_choice, stored_runs
 from eldenet.results.studies.plan import Study, StudyRow, run_name
@@ -244,9 +244,10 @@ def _notes(study: Study, members: Sequence[Member], latencies: Latencies | None,
     if reference:
         notes.append(
             f"difference in {study.compare} to {reference}: mean over the images, with the 95 % interval "
-            f"of a paired bootstrap ({statistics.DRAWS} draws). Where both rows have {SEEDS_OF_A_VERDICT} "
-            'seeds, it draws seeds and images, and "better" or "worse" means that the interval excludes 0; '
-            f"elsewhere it draws {statistics.IMAGES_ALONE}, too little for a verdict"
+            f"of a paired bootstrap ({paired_intervals.DRAWS} draws). Where both rows have "
+            f"{SEEDS_OF_A_VERDICT} seeds, it draws seeds and images, and "
+            '"better" or "worse" means that the interval excludes 0; '
+            f"elsewhere it draws {paired_intervals.IMAGES_ALONE}, too little for a verdict"
         )
     if study.epoch == "last":
         notes.append("metrics of the last epoch, since the best epoch was chosen on the same frames")
@@ -280,15 +281,15 @@ def _differences(study: Study, reference: Member, members: Sequence[Member]) -> 
             continue
         ours, theirs = (_scores(study, one) for one in (member, reference))
         seeds = min(len(member.runs), len(reference.runs)) >= SEEDS_OF_A_VERDICT
-        mean, low, high = statistics.paired_interval(ours, theirs, draw_seeds=seeds)
+        mean, low, high = paired_intervals.paired_interval(ours, theirs, draw_seeds=seeds)
         found[member.row.name] = Difference(mean, low, high, seeds, study.compare in LOWER_IS_BETTER)
     return found
 
 
-def _scores(study: Study, member: Member) -> statistics.Scores:
+def _scores(study: Study, member: Member) -> paired_intervals.Scores:
     """The compared metric of every image in a row's runs."""
     runs = {run_name(member.row, run["seed"]): run for run in member.runs}
-    return statistics.per_image(runs, study.compare)
+    return paired_intervals.per_image(runs, study.compare)
 
 
 def _point(study: Study, member: Member, latencies: Latencies | None) -> tuple[str, float, float] | None:

@@ -9,7 +9,7 @@ import pytest
 from support.stored_study import change_run, figures, notes, store, table, write_plan
 
 from eldenet.config import training_composition
-from eldenet.results import statistics
+from eldenet.results import paired_intervals
 from eldenet.results.packed_runs import RUNS, read_records, write_records
 from eldenet.results.studies.plan import Study
 from eldenet.results.studies.report import write_study_report
@@ -78,10 +78,10 @@ def test_a_lucky_seed_makes_no_verdict(study: Study) -> None:
     assert float(cell.split()[0]) == pytest.approx(0.02, abs=0.01)
     assert cell.endswith("]")
     ours, theirs = (
-        statistics.per_image({str(seed): study.stored(row, seed) for seed in range(3)}, "delta1")
+        paired_intervals.per_image({str(seed): study.stored(row, seed) for seed in range(3)}, "delta1")
         for row in study.chosen(["large", "small"])[::-1]
     )
-    assert statistics.paired_interval(ours, theirs, draw_seeds=False)[1] > 0
+    assert paired_intervals.paired_interval(ours, theirs, draw_seeds=False)[1] > 0
 
 
 def test_runs_that_do_not_compare_are_refused(study: Study) -> None:

@@ -4,28 +4,28 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from eldenet.results import statistics
+from eldenet.results import paired_intervals
 from eldenet.results.plots import name_points, pareto_front
 
 
-def scores(values: np.ndarray, **changes: tuple[str, ...]) -> statistics.Scores:
-    return statistics.Scores(changes.get("images", tuple(map(str, range(values.shape[1])))), values)
+def scores(values: np.ndarray, **changes: tuple[str, ...]) -> paired_intervals.Scores:
+    return paired_intervals.Scores(changes.get("images", tuple(map(str, range(values.shape[1])))), values)
 
 
 def test_the_interval_is_that_of_scipys_bootstrap():
     generator = np.random.default_rng(3)
     theirs = generator.uniform(0.3, 0.9, (1, 130))
     ours = theirs + 0.03 + 0.1 * generator.normal(size=(1, 130))
-    mean, low, high = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=False)
+    mean, low, high = paired_intervals.paired_interval(scores(ours), scores(theirs), draw_seeds=False)
     expected = scipy.stats.bootstrap(
         (ours[0] - theirs[0],), np.mean, n_resamples=20_000, method="percentile", random_state=1
     ).confidence_interval
     assert mean == pytest.approx((ours - theirs).mean(), abs=1e-12)
     assert (low, high) == pytest.approx((expected.low, expected.high), abs=1.5e-3)
-    again = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=False)
+    again = paired_intervals.paired_interval(scores(ours), scores(theirs), draw_seeds=False)
     assert again == (mean, low, high)  # the same every time
     with pytest.raises(ValueError, match="different images"):
-        statistics.paired_interval(
+        paired_intervals.paired_interval(
             scores(ours), scores(theirs, images=tuple(map(str, range(1, 131)))), draw_seeds=False
         )
 
@@ -41,11 +41,15 @@ def test_the_interval_over_seeds_and_images_is_that_of_plain_draws():
         images = generator.choice(60, 60)
         one, two = generator.choice(4, 4), generator.choice(3, 3)
         draws.append(ours[one][:, images].mean() - theirs[two][:, images].mean())
-    mean, low, high = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=True)
+    mean, low, high = paired_intervals.paired_interval(scores(ours), scores(theirs), draw_seeds=True)
     assert mean == pytest.approx(ours.mean() - theirs.mean(), abs=1e-12)
     assert (low, high) == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=1.5e-3)
-    assert statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=True) == (mean, low, high)
-    _, low_of_images, high_of_images = statistics.paired_interval(
+    assert paired_intervals.paired_interval(scores(ours), scores(theirs), draw_seeds=True) == (
+        mean,
+        low,
+        high,
+    )
+    _, low_of_images, high_of_images = paired_intervals.paired_interval(
         scores(ours), scores(theirs), draw_seeds=False
     )
     assert low < low_of_images < mean < high_of_images < high
@@ -56,9 +60,9 @@ def test_an_image_without_a_score_in_one_row_is_left_out_of_both():
     ours[1, 2] = np.nan
     theirs[:, 2] = 9.0
     for draw_seeds in (True, False):
-        found = statistics.paired_interval(scores(ours), scores(theirs), draw_seeds=draw_seeds)
+        found = paired_intervals.paired_interval(scores(ours), scores(theirs), draw_seeds=draw_seeds)
         assert found == pytest.approx((0.1, 0.1, 0.1))
-    unknown = statistics.Difference(np.nan, np.nan, np.nan, seeds=True, lower_is_better=False)
+    unknown = paired_intervals.Difference(np.nan, np.nan, np.nan, seeds=True, lower_is_better=False)
     assert unknown.verdict == ""
 
 
