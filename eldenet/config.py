@@ -13,7 +13,6 @@ from omegaconf import DictConfig, OmegaConf
 from eldenet.compose import listed, plain
 from eldenet.configurable import check_arguments
 from eldenet.configurable import instantiate as build_part
-from eldenet.data.splits import SPLITS, check_folders, subset_of
 from eldenet.system.checks import one_of
 from eldenet.system.resources import choose_resources
 from eldenet.weights import BEST, find_checkpoint, list_models
@@ -21,7 +20,6 @@ from eldenet.weights import BEST, find_checkpoint, list_models
 if TYPE_CHECKING:
     import numpy as np
 
-    from eldenet.data.inspection import CheckDataSetup
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
     from eldenet.deploy.prediction import PredictionSetup
     from eldenet.navigation.modes import ModeSetup
@@ -125,66 +123,6 @@ def _size(config: DictConfig, name: str, otherwise: str = "null") -> tuple[int, 
 
 
 # --- data sets: splits, and check_data ----------------------------------------------------------------------
-
-
-def build_check_data(config: DictConfig) -> "CheckDataSetup":
-    """Return the setup of ``python -m eldenet.check_data``.
-
-    Raises:
-        ValueError: ``frames`` or ``samples`` is out of its range.
-        FileNotFoundError: the data set's folder does not exist.
-    """
-    for name, least in (("frames", 1), ("samples", 0)):
-        if config[name] is not None and config[name] < least:
-            raise ValueError(f"{name}={config[name]}: give a number of at least {least}, or leave it out")
-    check_folders(plain(config.data))
-    from eldenet.data.inspection import CheckDataSetup
-
-    nodes = {split: plain(config.data[split]) for split in SPLITS if config.data.get(split) is not None}
-    subset = subset_of(plain(config.data))
-    same: dict[str, str] = {}  # test: ${data.val}, if a data set has no third part
-    for split in nodes:
-        first = next(
-            one for one in nodes if nodes[one] == nodes[split] and subset.get(one) == subset.get(split)
-        )
-        if first != split:
-            same[split] = first
-
-    def open_split(split: str) -> Any:
-        node = nodes[split]
-        dataset = instantiate({**node, "on_error": "skip"} if "on_error" in node else node)
-        if subset.get(split) is not None:
-            dataset.draw_subset(subset[split], config.data.get("subset_seed", 0))
-        return dataset
-
-    return CheckDataSetup(
-        folder=Path(config.output).expanduser(),
-        name=config.data.name,
-        config=plain(config.data),
-        splits={split: functools.partial(open_split, split) for split in nodes if split not in same},
-        same=same,
-        check_ground_truth=build_protocol(config).check_ground_truth,
-        frames=config.frames,
-        samples=config.samples,
-        fingerprint=_digest_list(config),
-        encoding=plain(config.data.get("encoding")),
-    )
-
-
-def _digest_list(config: DictConfig) -> Path | None:
-    """The list that ``check_data fingerprint=...`` names, or the data set's folder, which then holds it."""
-    given = config.fingerprint
-    if given is None or given is False:
-        return None
-    if given is not True:
-        return Path(given).expanduser()
-    root = next((config.data[s].root for s in SPLITS if (config.data.get(s) or {}).get("root")), None)
-    if root is None:
-        raise ValueError(
-            "fingerprint=true writes into the data set's folder: give data.root=..., or a path for the list, "
-            "fingerprint=/my/folder/list.sha256"
-        )
-    return Path(root).expanduser()
 
 
 # --- train, evaluate, adapt, train_detector -----------------------------------------------------------------

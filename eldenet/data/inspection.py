@@ -5,15 +5,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from eldenet.configurable import instantiate
 from eldenet.data.base import DepthDataset
 from eldenet.data.io import ENCODINGS, Encoding, depth_encoding
 from eldenet.data.mix import Mix
-from eldenet.data.splits import evenly_spaced
+from eldenet.data.splits import SPLITS, evenly_spaced, same_splits, subset_of
 
 PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
 # Bins of 1 % from 1 mm to 1 km: percentiles to half a percent without keeping a pixel.
@@ -21,33 +21,6 @@ _EDGES = np.geomspace(1e-3, 1e3, 1390)
 _PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 HISTOGRAM_BINS = 20
 Bar = Callable[[str, int], AbstractContextManager[Any]]
-
-
-@dataclass(frozen=True)
-class CheckDataSetup:
-    """What :func:`check_data` checks; :func:`eldenet.config.build_check_data` builds it.
-
-    Attributes:
-        folder: for the report.
-        name: of the data set.
-        config: of the data set, stored with the report.
-        splits: name -> opens the split, with ``on_error="skip"`` if it has files.
-        same: name -> another split that has the same frames and stands for it.
-        check_ground_truth: raises ValueError if the protocol cannot score this kind of ground truth.
-        frames: read at most this many frames of each split, evenly spread; None reads all.
-        samples: frames of each split on the contact sheet.
-        encoding: of depth, as the config gives it; None: there is no such setting.
-    """
-
-    folder: Path
-    name: str
-    config: Mapping[str, Any]
-    splits: Mapping[str, Callable[[], DepthDataset]]
-    same: Mapping[str, str]
-    check_ground_truth: Callable[[str], None]
-    frames: int | None = None
-    samples: int = 0
-    encoding: Encoding | None = None
 
 
 @dataclass
@@ -132,33 +105,53 @@ class DataCheck:
     panels: list[tuple[str, np.ndarray]] = field(default_factory=list)
 
 
-def check_data(setup: CheckDataSetup, bar: Bar) -> DataCheck:
+def check_splits(
+    data: Mapping[str, Any],
+    check_ground_truth: Callable[[str], None],
+    bar: Bar,
+    *,
+    frames: int | None = None,
+    samples: int = 0,
+) -> DataCheck:
     """Read every split and note what is wrong, without stopping at a fault.
 
     Args:
-        setup: the splits, and how much of them to read.
+        data: settings of the data set; splits with the same settings are read once.
+        check_ground_truth: raises ValueError if the protocol cannot score this kind of ground truth.
         bar: opens a progress bar with a title and a total; its ``advance`` is called with 1 per frame.
+        frames: read at most this many frames of each split, evenly spread; None: all.
+        samples: frames of each split on the contact sheet.
     """
-    found, refused = DataCheck(), []
-    for split, open_split in setup.splits.items():
+    found, refused, same = DataCheck(), [], same_splits(data)
+    for split in (name for name in SPLITS if data.get(name) is not None and name not in same):
         try:
-            dataset = open_split()
+            dataset = _open(data, split)
         except (ValueError, OSError) as error:
             found.splits.append(SplitCheck(split, fault=str(error)))
             continue
-        total = len(evenly_spaced(len(dataset.names), setup.frames))
+        total = len(evenly_spaced(len(dataset.names), frames))
         with bar(f"checking {split}", total) as progress:
-            check = check_split(split, dataset, frames=setup.frames, advance=progress.advance)
+            check = check_split(split, dataset, frames=frames, advance=progress.advance)
         found.splits.append(check)
-        found.panels += _samples(dataset, setup.samples, check)
+        found.panels += _samples(dataset, samples, check)
         if split != "train":
             try:
-                setup.check_ground_truth(dataset.ground_truth)
+                check_ground_truth(dataset.ground_truth)
             except ValueError as error:
                 refused.append(f"{split}: {error}")
     found.faults = [line for check in found.splits for line in check.faults]
     found.faults += refused + shared_frames(found.splits)
     return found
+
+
+def _open(data: Mapping[str, Any], split: str) -> DepthDataset:
+    """Open a split as it is on disk; what cannot be read is listed, not refused."""
+    settings, subset = data[split], subset_of(data).get(split)
+    changes = {"on_error": "skip"} if "on_error" in settings else {}
+    dataset: DepthDataset = instantiate(settings, f"data.{split}", **changes)
+    if subset is not None:
+        dataset.draw_subset(subset, data.get("subset_seed", 0))
+    return dataset
 
 
 def _samples(dataset: DepthDataset, wanted: int, found: SplitCheck) -> list[tuple[str, np.ndarray]]:

@@ -101,6 +101,20 @@ def subset_of(data: Mapping[str, Any]) -> Mapping[str, Any]:
     return subset
 
 
+def same_splits(data: Mapping[str, Any]) -> dict[str, str]:
+    """Return each split that is an earlier one again -> that one: "test" -> "val" without a third part."""
+    subset = subset_of(data)
+    same: dict[str, str] = {}
+    for place, split in enumerate(SPLITS):
+        for first in SPLITS[:place]:
+            if data.get(split) is not None and (data.get(first), subset.get(first)) == (
+                data[split],
+                subset.get(split),
+            ):
+                same.setdefault(split, first)
+    return same
+
+
 def check_folders(data: Mapping[str, Any]) -> None:
     """Raise FileNotFoundError if no split's folder exists: a mistake in ``data.root`` then costs no imports.
 

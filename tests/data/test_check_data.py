@@ -10,19 +10,18 @@ import numpy as np
 import pytest
 from support import layouts
 
-from eldenet.compose import compose, compose_config
-from eldenet.config import build_check_data
+from eldenet.check_data import CheckDataSettings, check_data
+from eldenet.compose import compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import check_split
 from eldenet.data.splits import evenly_spaced
 from eldenet.evaluation.splits import chosen_protocol, open_split
-from eldenet.results.data_check import check
 from eldenet.train import TrainSettings
 from eldenet.training.notes import common_frames
 
 
 def run(folder: Path, *overrides: str) -> tuple[bool, dict]:
-    good = check(build_check_data(compose_config("check_data", [*overrides, f"output={folder}"])))
+    good = check_data(compose(CheckDataSettings, [*overrides, f"output={folder}"]))
     return good, json.loads((folder / "check.json").read_text())
 
 
@@ -155,8 +154,9 @@ def test_the_command_ends_with_1(tmp_path: Path, run_command) -> None:
 def test_a_missing_folder_is_named_before_torch_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("ELDENET_DATA", raising=False)
     code = (
-        "import sys; from eldenet.config import build_check_data, compose\n"
-        "try: build_check_data(compose('check_data', sys.argv[1:]))\n"
+        "import sys; from eldenet.check_data import CheckDataSettings, check_data\n"
+        "from eldenet.compose import compose\n"
+        "try: check_data(compose(CheckDataSettings, sys.argv[1:]))\n"
         "except FileNotFoundError as error: print(error)\n"
         "assert 'torch' not in sys.modules"
     )
