@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
     from eldenet.deploy.prediction import PredictionSetup
     from eldenet.navigation.modes import ModeSetup
-    from eldenet.results.comparison import ReportSetup
     from eldenet.results.studies.plan import Composition
     from eldenet.results.studies.runner import StudySetup, Training
 
@@ -415,19 +414,4 @@ def build_study(config: DictConfig) -> "StudySetup":
         seeds=None if config.seeds is None else listed(config.seeds),
         rerun=config.rerun,
         given=plain(config.given),
-    )
-
-
-def build_report(config: DictConfig) -> "ReportSetup":
-    """Return the setup of ``python -m eldenet.report``."""
-    from eldenet.results.comparison import ReportSetup
-
-    if config.study is not None:
-        return ReportSetup(study=Path(config.study))
-    return ReportSetup(
-        runs=listed(config.runs),
-        output=Path(config.output),
-        columns=None if config.columns is None else listed(config.columns),
-        costs=config.costs,
-        names=[str(name) for name in listed(config.names)],
     )

@@ -45,55 +45,44 @@ SAME_IN_A_ROW = (
 )
 
 
-@dataclass(frozen=True)
-class ReportSetup:
-    """What ``eldenet.report`` shows.
+def report_runs(
+    sources: Sequence[str],
+    output: Path,
+    *,
+    columns: Sequence[str] | None = None,
+    costs: bool = True,
+    names: Sequence[str] = (),
+) -> None:
+    """Print the table of some runs and write it as Markdown, CSV and LaTeX.
 
-    Attributes:
-        study: folder of a study, whose ``sweep.yaml`` says all else; None: the table of ``runs``.
-        runs: ``run.json`` files, or folders that hold some.
+    Args:
+        sources: ``run.json`` files, or folders that hold some.
         output: path of the table; ``.md``, ``.csv`` and ``.tex`` are written.
         columns: metrics; None: those of :data:`COLUMNS`, and in LaTeX what fits a page.
         costs: whether costs are shown too.
-        names: of the rows, one for each of ``runs``; empty: the names that the runs have.
+        names: of the rows, one for each of ``sources``; empty: the names that the runs have.
     """
-
-    study: Path | None = None
-    runs: Sequence[str] = ()
-    output: Path = Path("results")
-    columns: Sequence[str] | None = None
-    costs: bool = True
-    names: Sequence[str] = ()
-
-
-def report_runs(setup: ReportSetup) -> None:
-    """Print the table of some runs and write it as Markdown, CSV and LaTeX."""
-    runs = find_runs(
-        setup.runs,
-        needed=("metrics.images", *(NEEDED_FOR_COSTS if setup.costs else ())),
-        names=setup.names,
-    )
-    columns = COLUMNS if setup.columns is None else setup.columns
-    titles, rows = table_of(runs, columns, costs=setup.costs)
-    measured = 2 + len(columns)  # model, seeds, metrics; then the costs
+    runs = find_runs(sources, needed=("metrics.images", *(NEEDED_FOR_COSTS if costs else ())), names=names)
+    shown = COLUMNS if columns is None else columns
+    titles, rows = table_of(runs, shown, costs=costs)
+    measured = 2 + len(shown)  # model, seeds, metrics; then the costs
     metrics = titles[:measured], [row[:measured] for row in rows]
-    costs = (
+    cost_table = (
         [titles[0], *titles[measured:]],
         [[row[0], *row[measured:]] for row in rows if set(row[measured:]) - {"-"}],
     )
-    core = [2 + place for place, name in enumerate(columns) if name in CORE or setup.columns is not None]
-    notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if setup.costs else [])
-    output = setup.output
+    core = [2 + place for place, name in enumerate(shown) if name in CORE or columns is not None]
+    notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if costs else [])
     stem = output.stem if output.suffix in (".md", ".csv", ".tex") else output.name  # "v0.5" has no ending
     write_rows(output.with_name(f"{stem}.csv"), *to_csv(titles, rows))
     write_text(output.with_name(f"{stem}.md"), to_markdown(titles, rows, notes))
-    latex = [to_latex(*metrics, notes[:1], core if setup.columns is None else None)]
-    latex += [to_latex(*costs, notes[1:])] if setup.costs else []
+    latex = [to_latex(*metrics, notes[:1], core if columns is None else None)]
+    latex += [to_latex(*cost_table, notes[1:])] if costs else []
     write_text(output.with_name(f"{stem}.tex"), "\n".join(latex))
     log = RunLog(output.parent)
     log.table(notes[0], *metrics, core)
-    if setup.costs:
-        log.table(notes[1], *costs)
+    if costs:
+        log.table(notes[1], *cost_table)
     log.say(f"written to {output.with_name(stem)}.md, .csv and .tex")
 
 

@@ -12,7 +12,7 @@ import pytest
 from support.stored_study import figures, record_of, store, write_plan
 
 from eldenet.deploy.benchmarking.rows import ROWS_FILE, read_rows
-from eldenet.results.comparison import NEEDED_FOR_COSTS, ReportSetup, find_runs, report_runs
+from eldenet.results.comparison import NEEDED_FOR_COSTS, find_runs, report_runs
 from eldenet.results.packed_runs import RUNS, read_records
 from eldenet.results.paired_intervals import per_image
 from eldenet.results.run_record import read_record
@@ -79,7 +79,7 @@ def test_figures_that_cannot_be_are_refused_with_the_files_name(run, path, value
     record = changed(json.loads(run.read_text()), path, value)
     run.write_text(json.dumps(record))
     with pytest.raises(ValueError, match=r"run/run\.json"):
-        report_runs(ReportSetup(runs=[str(run)], output=tmp_path / "out"))
+        report_runs([str(run)], tmp_path / "out")
     assert not (tmp_path / "out.md").exists()
 
 
@@ -88,7 +88,7 @@ def test_a_record_that_lacks_an_entry_is_named(run, tmp_path):
     for name in ("model", "data", "split_hash", "protocol", "metrics", "cost", "hardware"):
         run.write_text(json.dumps(changed(whole, (name,), None, remove=True)))
         with pytest.raises(ValueError, match=rf"run\.json has no {name}"):
-            report_runs(ReportSetup(runs=[str(run)], output=tmp_path / "out"))
+            report_runs([str(run)], tmp_path / "out")
 
 
 def test_flips_and_cuts_of_a_record_are_no_tracebacks(run):
