@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.config import build_benchmark
+from eldenet.system.extras import require
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -17,6 +18,7 @@ def main(config: "DictConfig", folder: Path) -> None:
         refuse_unread(
             ("models", "sizes"), "not read with study=, whose rows name the networks and their inputs"
         )
+    require("the plot of latencies", "matplotlib")
     setup = build_benchmark(config)
     from eldenet.deploy.benchmarking.run import benchmark
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from eldenet.geometry import PinholeCamera, to_corner
 from eldenet.system.checks import one_of
+from eldenet.system.extras import require
 
 #: "tight": around the visible object (COCO's detectors); "projected": around the eight corners (KITTI).
 BoxStyle = Literal["tight", "projected"]
@@ -102,7 +103,8 @@ class Detections2D(ArrayRows):
         return [self.names[label] for label in self.label]
 
     def to_supervision(self) -> Any:
-        """Convert to ``supervision.Detections`` (``pip install supervision``), with corner pixels."""
+        """Convert to ``supervision.Detections`` (``pip install -e '.[viz]'``), with corner pixels."""
+        require("to_supervision", "supervision")
         import supervision
 
         return supervision.Detections(

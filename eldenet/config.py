@@ -14,6 +14,7 @@ from eldenet.compose import listed, plain
 from eldenet.configurable import check_arguments
 from eldenet.configurable import instantiate as build_part
 from eldenet.system.checks import one_of
+from eldenet.system.extras import require
 from eldenet.system.resources import choose_resources
 from eldenet.weights import BEST, find_checkpoint, list_models
 
@@ -142,7 +143,6 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     from eldenet.deploy.lens import needs_lens
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.deploy.prediction import PredictionSetup, find_source
-    from eldenet.deploy.viewer import check_installed
     from eldenet.geometry import focal_of_fov
     from eldenet.results.fingerprints import fingerprint
 
@@ -151,6 +151,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     check_sources(config, "checkpoint")
     checkpoint, engine = str(config.checkpoint), str(config.engine)
     one_of("engine", engine, ("auto", *runtimes.RUNTIMES))
+    runtimes.check_installed(checkpoint, engine)
     one_of("on_error", str(config.on_error), ("stop", "skip"))
     _check_types(config, PredictionSetup, "frames", "focal", "fov", "max_side", "steady", "sharp")
     _check_types(config, Results, "overwrite")
@@ -195,7 +196,7 @@ def build_prediction(config: DictConfig) -> "PredictionSetup":
     recording = None
     if config.viewer is not None:
         one_of("viewer", str(config.viewer), ("rerun",))
-        check_installed()
+        require("viewer=rerun", "rerun")
         recording = output / "predict.rrd"
         results.refuse_to_overwrite([], [recording])
     if not (config.boxes or recording or source.is_live):

@@ -24,6 +24,7 @@ from eldenet.cli.entry_point import entry_point
 from eldenet.compose import listed
 from eldenet.geometry import BORDER_COLOR
 from eldenet.system.checks import check_size
+from eldenet.system.extras import require
 from eldenet.system.files import part_file, shipped_folder, write_json
 from eldenet.weights import find_checkpoint, name_of
 
@@ -70,6 +71,7 @@ def demo(s: DemoSettings) -> None:
     Raises:
         ValueError: npm is missing or fails, or the port is taken.
     """
+    require("the demo", "onnx", "onnxscript")
     find_checkpoint(s.checkpoint, "checkpoint")
     from eldenet.data.paths import default_cache
     from eldenet.results.run_log import RunLog, untrained_note

@@ -12,6 +12,7 @@ import eldenet
 from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED, listed
 from eldenet.data.splits import check_folders, split_settings
+from eldenet.deploy.runtimes import check_installed
 from eldenet.system.resources import choose_resources
 from eldenet.weights import find_checkpoint
 
@@ -63,6 +64,7 @@ def evaluate(s: EvaluateSettings) -> dict[str, Any]:
     """
     check_folders(s.data)
     checkpoint = find_checkpoint(s.checkpoint, "checkpoint")
+    check_installed(s.checkpoint, s.engine)
     split_settings(s.data, s.split)
     folder = Path(s.output)
     if (folder / "checkpoints").is_dir():

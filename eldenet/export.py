@@ -19,6 +19,7 @@ from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED, listed
 from eldenet.geometry import resize_image, size_of_aspect
 from eldenet.system.checks import check_size, one_of
+from eldenet.system.extras import require
 from eldenet.system.files import safe_stem
 from eldenet.uncertainty import DepthEstimate
 from eldenet.weights import find_checkpoint, name_of
@@ -97,6 +98,10 @@ def export(s: ExportSettings) -> Path:
     Raises:
         ValueError: the file already exists, the pictures are missing, or an fp32 file differs from torch.
     """
+    needed = ["onnx", "onnxscript"] + ["openvino"] * (s.format == "openvino")
+    if s.precision == "int8":
+        needed.append("onnxruntime" if s.format == "onnx" else "nncf")
+    require(f"format={s.format}, precision={s.precision}", *needed)
     find_checkpoint(s.checkpoint, "checkpoint")
     from eldenet.deploy.metadata import describe
     from eldenet.deploy.onnx_export import quantize_onnx, write_onnx

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.config import build_navigation
+from eldenet.system.extras import require
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -28,6 +29,10 @@ def run(config: "DictConfig", folder: Path) -> None:
         given = f"course={course}" if file is None else f"arena.file={file}"
         unread = ("density", "pedestrians", "world", "split", "arena.kind")
         refuse_unread(unread, f"not read with {given}, which describes the whole arena; leave it out")
+    if config.mode == "train":
+        require("mode=train", "gymnasium")
+    if config.get("video") == "mp4":
+        require("video=mp4", "av")
     setup = build_navigation(config, folder)
     from eldenet.navigation.modes import run_mode
 

@@ -18,6 +18,7 @@ from eldenet.cli.entry_point import entry_point, given_settings
 from eldenet.compose import REQUIRED, listed
 from eldenet.configurable import instantiate, modules_named_in
 from eldenet.data.splits import check_folders
+from eldenet.system.extras import EXTRAS, require
 from eldenet.system.files import sole_writer, write_yaml
 from eldenet.system.resources import choose_resources, is_main_process, join_processes, main_process_first
 from eldenet.system.signals import as_ctrl_c
@@ -75,6 +76,9 @@ def train(s: TrainSettings, overrides: Sequence[str] = ()) -> float:
         FileNotFoundError: there are no such frames or weights.
         FloatingPointError: the loss became NaN or infinite; the last good checkpoint stays.
     """
+    for name in listed(s.logger):
+        if name in EXTRAS:
+            require(f"logger={name}", name)
     folder, settings = Path(s.output), asdict(s)
     with sole_writer(folder) if is_main_process() else nullcontext():
         check_folders(s.data)

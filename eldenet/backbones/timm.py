@@ -8,7 +8,7 @@ from torch import Tensor
 
 from eldenet.backbones.base import Backbone
 from eldenet.backbones.weights import Weights, downloading, read_weights
-from eldenet.system.errors import missing_extra
+from eldenet.system.extras import require
 from eldenet.types import FeatureInfo
 
 
@@ -34,10 +34,8 @@ class TimmBackbone(Backbone):
 
     def __init__(self, name: str, *, pretrained: bool | str = False) -> None:
         super().__init__()
-        try:
-            import timm
-        except ImportError as error:
-            raise missing_extra("TimmBackbone", "timm", "timm") from error
+        require("TimmBackbone", "timm")
+        import timm
 
         weights = read_weights(pretrained) if isinstance(pretrained, str) else None
         overlay = {"file": str(Path(pretrained).expanduser())} if isinstance(pretrained, str) else None

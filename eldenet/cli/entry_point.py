@@ -16,11 +16,12 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from eldenet.cli.help import advice, help_template, quote_paths
 from eldenet.compose import command_of, config_folder, register, resolver, to_settings
 from eldenet.system.errors import FULL, USER_ERRORS, line_of
+from eldenet.system.extras import require_for_parts
 
 S = TypeVar("S")
 QUIET = ("-h", "--help", "--hydra-help", "-c", "--cfg", "-sc", "--shell-completion", "-i", "--info")
@@ -103,6 +104,7 @@ def _run(main: Callable[[S], Any], settings: type[S], config: DictConfig) -> Any
     sweep = hydra_config.mode == RunMode.MULTIRUN
     threading.excepthook = _thread_failed
     try:
+        require_for_parts(OmegaConf.to_container(config))
         if isinstance(settings, str):
             return main(config, folder)  # type: ignore[call-arg]
         # a command with a run folder, which a sweep numbers: 0, 1, ...

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.system.errors import missing_extra, reading
+from eldenet.system.errors import reading
+from eldenet.system.extras import require
 
 PIXEL_VARIABLE, MOST_PIXELS = "ELDENET_MAX_PIXELS", 100_000_000
 
@@ -124,10 +125,9 @@ def read_exr(path: Path) -> np.ndarray:
         ValueError: the file is truncated or damaged, or its channels differ.
     """
     read_bytes(path)
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise missing_extra("reading .exr files", "OpenEXR", "exr") from error
+    require("reading .exr files", "OpenEXR")
+    import OpenEXR
+
     with reading(path, "OpenEXR file"), OpenEXR.File(str(path), header_only=True) as file:
         first, last = (np.array(corner, np.int64) for corner in file.header()["dataWindow"])
         sides = (last - first + 1).tolist()

@@ -13,7 +13,8 @@ from eldenet.data.nyu import NYU_RANGE, labeled_part, nyu_intrinsics
 from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
-from eldenet.system.errors import missing_extra, reading
+from eldenet.system.errors import reading
+from eldenet.system.extras import require
 from eldenet.types import Frame
 
 HDF5_TREE = """
@@ -164,10 +165,9 @@ def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
     """
     if isinstance(file, Path) and not file.is_file():
         raise FileNotFoundError(f"{source} does not exist: check root, or fetch the file again")
-    try:
-        import h5py
-    except ImportError as error:
-        raise missing_extra("reading NYU's HDF5 files", "h5py", "nyu") from error
+    require("reading NYU's HDF5 files", "h5py")
+    import h5py
+
     with reading(source, "HDF5 file"):
         opened = h5py.File(file, "r")
     return opened

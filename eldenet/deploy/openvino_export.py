@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.deploy.metadata import BLANK, DIGEST, sealed
-from eldenet.system.errors import missing_extra
+from eldenet.system.extras import require
 from eldenet.system.files import part_file
 
 
@@ -45,11 +45,9 @@ def quantize_openvino(
     decline_telemetry()
     import openvino
 
-    try:
-        with quiet():
-            import nncf
-    except ImportError as error:
-        raise missing_extra(f"int8 for OpenVINO ({error})", "nncf", "deploy") from error
+    require("int8 for OpenVINO", "nncf")
+    with quiet():
+        import nncf
     network = openvino.Core().read_model(str(source))
     with quiet():
         quantized = nncf.quantize(

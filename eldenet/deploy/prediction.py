@@ -18,6 +18,7 @@ from eldenet.deploy.outputs import Results, name_results
 from eldenet.deploy.stream import DepthStream, is_live, without_password
 from eldenet.deploy.video_files import in_time, is_video_file, open_video
 from eldenet.deploy.viewer import RerunViewer, open_recording
+from eldenet.system.extras import require
 from eldenet.uncertainty import NO_SIGMA, as_estimate
 from eldenet.visualization import photo_beside_depth, visible_range
 from eldenet.weights import BEST, find_checkpoint
@@ -165,10 +166,12 @@ def find_source(given: str, output: Path, frames: int | None) -> Source:
         ValueError: a file is neither picture nor video, or a folder holds no pictures.
     """
     if is_live(given):
+        require(f"source={without_password(given)}", "av")
         name = re.sub(r"\W+", "_", without_password(given)).strip("_")
         return Source({given: name}, is_video=True, is_live=True)
     path = Path(given).expanduser()
     if path.is_file() and is_video_file(path):
+        require(f"source={given}", "av")
         return Source({path: path.stem}, is_video=True, is_live=False)
     return Source(dict(islice(name_results(path, output).items(), frames)), is_video=False, is_live=False)
 

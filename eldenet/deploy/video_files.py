@@ -14,6 +14,7 @@ from eldenet.data.file_checks import FORMATS
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.geometry import resize_image
 from eldenet.system.errors import writing
+from eldenet.system.extras import require
 from eldenet.system.files import part_path, remove_unfinished
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def is_video_file(path: Path) -> bool:
 
 def _has_two_frames(path: Path) -> bool:
     """Return whether FFmpeg decodes two frames: a picture has one, and text is a film of its letters."""
+    require(f"reading {path}", "av")
     import av
 
     try:

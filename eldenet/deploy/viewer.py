@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldenet.geometry import PinholeCamera, back_project
-from eldenet.system.errors import missing_extra, writing
+from eldenet.system.errors import writing
 from eldenet.system.files import part_path
 from eldenet.uncertainty import DepthEstimate, as_estimate
 
@@ -117,12 +116,6 @@ def log_boxes(log: Callable[..., Any], boxes: "Boxes3D", path: str = WORLD) -> N
         class_ids=boxes.label,
     )  # fmt: skip
     log(f"{path}/boxes", shown)
-
-
-def check_installed() -> None:
-    """Raise ImportError if Rerun's SDK is not installed."""
-    if find_spec("rerun") is None:
-        raise missing_extra("viewer=rerun", "rerun-sdk", "viewer")
 
 
 @contextmanager

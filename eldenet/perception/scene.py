@@ -17,6 +17,7 @@ from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import to_labels, write_labels
 from eldenet.perception.lifter import BoxLifter
 from eldenet.perception.tracking import BoxTracker
+from eldenet.system.extras import require
 from eldenet.system.files import write_rows
 from eldenet.uncertainty import DepthEstimate, as_estimate
 
@@ -88,7 +89,8 @@ class Scene:
         return [self.boxes[index] for index in range(len(self.boxes))]
 
     def log_to_rerun(self, path: str = WORLD) -> None:
-        """Send the scene to a rerun viewer (``pip install rerun-sdk``); call ``rerun.init`` before."""
+        """Send the scene to a rerun viewer (``pip install -e '.[viewer]'``); call ``rerun.init`` before."""
+        require("log_to_rerun", "rerun")
         import rerun as rr
 
         log_camera(rr.log, self.camera, (self.depth.shape[0], self.depth.shape[1]), path)

@@ -13,6 +13,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from eldenet.system.extras import require
+
 PROJECT = "eldenet"
 
 
@@ -132,10 +134,8 @@ def _library(name: str) -> Any:
     Raises:
         ImportError: it is not installed.
     """
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise ImportError(f"logger={name} needs {name}: pip install {name} ({error})") from error
+    require(f"logger={name}", name)
+    return import_module(name)
 
 
 def _own_id(folder: Path, logger: str, make: Callable[[], str]) -> str:

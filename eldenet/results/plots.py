@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.results.paired_intervals import Difference
+from eldenet.system.extras import require
 from eldenet.system.files import part_file
 
 
@@ -24,6 +25,7 @@ def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool
 
 def pyplot_for_files() -> Any:
     """Matplotlib without a display; a name with dollar signs is a name, not a formula."""
+    require("plots", "matplotlib")
     import matplotlib
 
     matplotlib.use("Agg")

@@ -84,7 +84,7 @@ def score(
     result = _evaluate(model, dataset, protocol, resources, batch_size, f"evaluating on {split}", log)
     write_rows(folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
     if result.uncertainty is not None:
-        write_uncertainty(folder, result.uncertainty)
+        write_uncertainty(folder, result.uncertainty, log)
     log.picture(
         "predictions", (facts.get("training") or {}).get("step", 0), sample_rows(model, dataset, protocol)
     )

@@ -2,20 +2,33 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldenet.evaluation.metric_names import UNCERTAINTY_METRICS
 from eldenet.evaluation.uncertainty_metrics import RELIABILITY_LEVELS, UncertaintyScores
 from eldenet.results.plots import pyplot_for_files, save_figure
+from eldenet.system.extras import require
 from eldenet.system.files import write_rows
+
+if TYPE_CHECKING:
+    from eldenet.results.run_log import RunLog
 
 TITLES = {"abs_rel": "AbsRel", "rmse": "RMSE"}
 
 
-def write_uncertainty(folder: Path, scores: UncertaintyScores) -> None:
-    """Write ``uncertainty.csv``, ``sparsification.png`` and ``reliability.png``."""
+def write_uncertainty(folder: Path, scores: UncertaintyScores, log: "RunLog") -> None:
+    """Write ``uncertainty.csv``, ``sparsification.png`` and ``reliability.png``.
+
+    Without matplotlib the plots are left out, and the log says so: the scores took long.
+    """
     write_rows(folder / "uncertainty.csv", ("name", *UNCERTAINTY_METRICS), scores.rows)
+    try:
+        require("a plot of sigma", "matplotlib")
+    except ImportError as error:
+        log.say(f"left out: {error}")
+        return
     sparsification_plot(folder / "sparsification.png", {"sigma": scores.curves})
     reliability_plot(folder / "reliability.png", {"sigma": scores.coverage})
 

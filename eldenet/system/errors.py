@@ -65,8 +65,3 @@ def line_of(error: BaseException) -> str:
         return f"{error.filename}: {error.strerror}{advice}"
     in_a_worker = _IN_A_WORKER.match(str(error))
     return in_a_worker[2].strip() if in_a_worker else str(error)
-
-
-def missing_extra(what: str, package: str, extra: str) -> ImportError:
-    """Return the error for an optional package that is not installed; ``what`` needs it."""
-    return ImportError(f"{what} needs {package}: pip install -e '.[{extra}]' in eldenet's folder")

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.system.errors import missing_extra, reading
+from eldenet.system.errors import reading
+from eldenet.system.extras import require
 
 if TYPE_CHECKING:
     import onnx
@@ -23,10 +24,9 @@ def read_graph(path: str | Path, advice: str = EXPORT_AGAIN) -> "onnx.ModelProto
         ImportError: the package ``onnx`` is missing.
         ValueError: it is no ONNX file.
     """
-    try:
-        import onnx
-    except ImportError as error:
-        raise missing_extra(f"reading {path}", "onnx", "deploy") from error
+    require(f"reading {path}", "onnx")
+    import onnx
+
     with reading(path, "ONNX file", advice):
         return onnx.load(path, load_external_data=False)
 
@@ -51,10 +51,9 @@ def open_session(path: str | Path, providers: Sequence[str] = (CPU,), *, threads
     Warns:
         UserWarning: another provider than the first one runs.
     """
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise missing_extra(f"running {path}", "onnxruntime", "deploy") from error
+    require(f"running {path}", "onnxruntime")
+    import onnxruntime
+
     if not Path(path).is_file():
         raise FileNotFoundError(f"{path} does not exist: give the path of an .onnx file")
     available = onnxruntime.get_available_providers()

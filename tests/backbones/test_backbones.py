@@ -339,5 +339,5 @@ def test_timm_files_that_fill_only_a_part_are_refused(tmp_path: Path) -> None:
 
 def test_without_timm_the_extra_to_install_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "timm", None)
-    with pytest.raises(ImportError, match=r"needs timm: pip install"):
+    with pytest.raises(ImportError, match=r"TimmBackbone needs timm: pip install -e '.\[timm\]'"):
         TimmBackbone("lcnet_050")

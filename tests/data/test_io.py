@@ -222,7 +222,7 @@ def test_pfm_reads_both_byte_orders(tmp_path: Path, order: str) -> None:
 
 @pytest.mark.parametrize("half", [False, True])
 def test_exr_reads_one_channel_or_equal_ones(tmp_path: Path, half: bool) -> None:
-    exr = pytest.importorskip("OpenEXR", reason="OpenEXR is not installed: pip install 'eldenet[exr]'")
+    exr = pytest.importorskip("OpenEXR", reason="OpenEXR is not installed: pip install -e '.[exr]'")
     meters = (MILLIMETERS / 1000.0).astype(np.float16 if half else np.float32)
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
 

@@ -56,7 +56,7 @@ def test_predict_draws_boxes_and_writes_kittis_format(run, tmp_path, capsys):
 
 
 def test_depth_that_contradicts_known_sizes_is_said_and_boxes_are_recorded(run, tmp_path, capsys):
-    chunk = pytest.importorskip("rerun.chunk", reason="pip install 'eldenet[viewer]'")
+    chunk = pytest.importorskip("rerun.chunk", reason="pip install -e '.[viewer]'")
     source = write_image(tmp_path / "photo.png")
     buses = ("perception.detector.names=[bus,bus,bus]", "intrinsics=[900,900,128,64]")
     run(source, *buses)

@@ -57,14 +57,14 @@ def test_depth_image_and_camera_must_fit_together(view):
 
 
 def test_detections_convert_to_supervision(view):
-    pytest.importorskip("supervision", reason="pip install 'eldenet[viz]'")
+    pytest.importorskip("supervision", reason="pip install -e '.[viz]'")
     given = view.detections.to_supervision()
     np.testing.assert_allclose(given.xyxy, view.detections.xyxy + 0.5)
     assert list(given.data["class_name"]) == view.detections.classes
 
 
 def test_a_scene_is_sent_to_rerun(view, tmp_path):
-    rerun = pytest.importorskip("rerun", reason="pip install 'eldenet[viz]'")
+    rerun = pytest.importorskip("rerun", reason="pip install -e '.[viz]'")
     scene = perceive(view, view.detections)
     rerun.init("test")
     rerun.save(tmp_path / "scene.rrd")

@@ -63,7 +63,7 @@ def test_trackio_keeps_a_local_run(tmp_path, monkeypatch):
 
 def test_a_missing_library_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(ImportError, match="logger=wandb needs wandb: pip install wandb"):
+    with pytest.raises(ImportError, match="logger=wandb needs wandb: pip install -e"):
         LOGGERS["wandb"](tmp_path, None)
 
 

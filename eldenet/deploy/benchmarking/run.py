@@ -25,12 +25,12 @@ from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
 from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
 from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import as_image
-from eldenet.deploy.runtimes import TORCH, installed
+from eldenet.deploy.runtimes import PACKAGES, TORCH
 from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
 from eldenet.system.digests import digest_of
-from eldenet.system.errors import missing_extra
+from eldenet.system.extras import require
 from eldenet.system.files import safe_stem
 from eldenet.weights import find_checkpoint, name_of
 
@@ -256,8 +256,7 @@ def prepare(case: Case, model: "DepthNet", fingerprint: str, setup: BenchmarkSet
 
 def _make(case: Case, model: "DepthNet", name: str, setup: BenchmarkSetup) -> Path:
     folder, size = setup.output / "exports", (case.height, case.width)
-    if not installed(case.runtime):
-        raise missing_extra(f"runtime={case.runtime}", case.runtime, "deploy")
+    require(f"runtime={case.runtime}", *PACKAGES[case.runtime])
     if case.runtime in TORCH:
         return model.save_pretrained(folder / name)
     stem = f"{name}-{case.height}x{case.width}-batch{case.batch}"

@@ -6,7 +6,6 @@
 import json
 import tempfile
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,7 @@ from eldenet.deploy.metadata import canonical_camera, check_seal, describe
 from eldenet.deploy.runtimes.base import PRECISIONS, Runtime
 from eldenet.deploy.stream import DepthStream
 from eldenet.system.checks import one_of
-from eldenet.system.errors import missing_extra
+from eldenet.system.extras import installed, require
 from eldenet.system.resources import available_cores
 from eldenet.system.timing import median_ms, time_interleaved
 from eldenet.weights import find_checkpoint
@@ -30,6 +29,12 @@ __all__ = ["PRECISIONS", "RUNTIMES", "DepthStream", "Runtime", "fastest", "load"
 TORCH = ("torch", "torch_channels_last", "torch_compile")
 RUNTIMES = (*TORCH, "onnxruntime", "openvino")
 READS = {".onnx": ("onnxruntime", "openvino"), ".xml": ("openvino",)}
+#: Packages with which a runtime runs a model: it is exported first. An exported file needs the last one.
+PACKAGES = {
+    **dict.fromkeys(TORCH, ()),
+    "onnxruntime": ("onnx", "onnxscript", "onnxruntime"),
+    "openvino": ("onnx", "onnxscript", "openvino"),
+}
 
 
 def load(
@@ -139,14 +144,23 @@ def fastest(
     return able[min(times, key=lambda name: median_ms(times[name]))]
 
 
-def installed(runtime: str) -> bool:
-    """Return whether the library of ``runtime`` is installed."""
-    return find_spec("torch" if runtime in TORCH else runtime) is not None
+def check_installed(checkpoint: str, runtime: str) -> None:
+    """Check that the packages are there with which a runtime runs a file or a model; none is imported.
+
+    Raises:
+        ImportError: one is missing.
+    """
+    found = find_checkpoint(checkpoint)
+    if found.kind != "exported":
+        require(f"engine={runtime}", *PACKAGES.get(runtime, ()))
+        return
+    able = READS[found.path.suffix] if runtime == "auto" else (runtime,)
+    if not any(map(installed, able)):
+        require(checkpoint, able[0])
 
 
 def _open(path: Path, runtime: str, precision: str | None, threads: int, device: str) -> Runtime:
-    if not installed(runtime):
-        raise missing_extra(f"runtime={runtime}", runtime, "deploy")
+    require(path.name, runtime)
     check_seal(path)
     if runtime == "onnxruntime":
         from eldenet.deploy.runtimes.onnx import OnnxRuntime

@@ -12,6 +12,7 @@ from eldenet.results.studies.plan import Composition, Study, read_study
 from eldenet.results.studies.tables import Block, build_blocks
 from eldenet.results.tables import WORDS, to_csv, to_latex, to_markdown
 from eldenet.system import escaping
+from eldenet.system.extras import require
 from eldenet.system.files import write_rows, write_text
 
 Cells = tuple[list[str], list[list[str]]]  # titles, rows
@@ -32,6 +33,8 @@ def report_study(folder: Path, composition: Composition) -> None:
 def write_study_report(folder: str | Path, composition: Composition) -> list[Block]:
     """Write ``results.md``, ``.csv``, ``.tex`` and the plots of a study from what is stored in its folder."""
     study = read_study(folder, composition)
+    if study.plots:
+        require("the report of a study", "matplotlib")
     blocks = build_blocks(study)
     tables = [table for block in blocks for table in _tables_of(block)]
     markdown = [f"# {escaping.markdown(study.name)}", ""]

@@ -49,7 +49,7 @@ def test_a_row_with_a_network_from_outside_the_tree(tiny, run_command):
 @pytest.mark.slow
 def test_submitit_runs_a_row(tiny, run_command):
     """On this machine: what Slurm itself does is not tried here."""
-    pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="pip install 'eldenet[cluster]'")
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="pip install -e '.[cluster]'")
     (tiny / "sweep.yaml").write_text(short((tiny / "sweep.yaml").read_text()))
     finished = run_command(
         *("study", "-m", f"study={tiny}", "rows=[eldenet_s]", "hydra/launcher=submitit_local"),
@@ -63,7 +63,7 @@ def test_submitit_runs_a_row(tiny, run_command):
 
 @pytest.mark.slow
 def test_rays_workers_run_the_rows(tiny, run_command):
-    pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="pip install 'eldenet[cluster]'")
+    pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="pip install -e '.[cluster]'")
     plan = tiny / "sweep.yaml"
     plan.write_text(short(plan.read_text()))
     finished = run_command(
