@@ -159,7 +159,7 @@ def test_damage_in_a_config_is_named(change: Any, message: str, saved: Path) -> 
 def test_a_config_that_is_not_json_is_named(saved: Path) -> None:
     for content in (b"", b"{", b"[1, 2]", b"7", b"\xff\xfe\x00"):
         (saved / "config.json").write_bytes(content)
-        with pytest.raises(ValueError, match=r"config\.json (can't be read as JSON|has no entry 'model')"):
+        with pytest.raises(ValueError, match=r"config\.json (is truncated|has no entry 'model')"):
             DepthNet.from_pretrained(saved)
 
 

@@ -1,4 +1,4 @@
-"""Read bytes, text and arrays (``.npy``, PFM, OpenEXR); a damaged file is an error that names it."""
+"""Read bytes and arrays (``.npy``, PFM, OpenEXR); a damaged file is an error that names it."""
 
 import io
 import math
@@ -45,32 +45,11 @@ def read_bytes(path: Path) -> bytes:
         FileNotFoundError: there is no such file.
         ValueError: it is larger than 32 bytes for each of the pixels that :func:`check_pixels` allows.
     """
-    _check_file(path, "check data.root, or fetch the file again")
+    if not path.is_file():
+        advice = "check data.root, or fetch the file again"
+        raise FileNotFoundError(f"{path} does not exist{' as a file' * path.exists()}: {advice}")
     check_pixels((path.stat().st_size // 32,), path)
     return path.read_bytes()
-
-
-def read_text(path: Path, advice: str = "fetch it again") -> str:
-    """Return a text file's content; ``advice`` says what to do if it is missing or no text.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is not text.
-    """
-    _check_file(path, advice)
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # some editors start files with a byte-order mark
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is not a text file: {advice}") from error
-    if "\0" in text:
-        raise ValueError(f"{path} is damaged (it contains zero bytes): {advice}")
-    return text
-
-
-def _check_file(path: Path, advice: str) -> None:
-    if not path.is_file():
-        folder = " as a file, it is a folder" if path.is_dir() else ""
-        raise FileNotFoundError(f"{path} does not exist{folder}: {advice}")
 
 
 def read_array(path: Path) -> np.ndarray:

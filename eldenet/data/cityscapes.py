@@ -11,7 +11,7 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_array, read_text
+from eldenet.data.array_files import read_array
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.cityscapes_labels import CLASS_IDS, read_label_array, read_label_ids, wanted_labels
 from eldenet.data.io import DepthEncoding, decode_depth, read_depth, read_image, read_raw_depth
@@ -19,7 +19,7 @@ from eldenet.data.paths import find_root, incomplete, missing_files
 from eldenet.geometry import disparity_to_depth, pinhole, resize_intrinsics
 from eldenet.system.checks import one_of
 from eldenet.system.errors import reading
-from eldenet.system.files import parse_json
+from eldenet.system.files import parse_json, read_text
 from eldenet.types import Frame
 
 CITYSCAPES_SIZE = (1024, 2048)  # the pictures that disparity [px] and cameras refer to

@@ -6,12 +6,12 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
 from eldenet.data.paths import csv_pairs, find_root, natural_order, visible_files
 from eldenet.geometry import check_intrinsics, intrinsic_matrix
 from eldenet.system.checks import one_of
+from eldenet.system.files import read_text
 from eldenet.types import Frame
 
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")

@@ -11,7 +11,6 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_text
 from eldenet.data.base import SampleOptions
 from eldenet.data.kitti_calibration import PROJECTIONS, project_scan, read_scan, velodyne_to_image
 from eldenet.data.kitti_files import (
@@ -32,6 +31,7 @@ from eldenet.data.paths import find_root, incomplete
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
 from eldenet.system.errors import reading
+from eldenet.system.files import read_text
 
 SPLITS = ("train", "val", "trainval", "test", "all")
 _GROUND_TRUTH = {"groundtruth": "improved", "velodyne_raw": "sparse"}

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.array_files import read_bytes, read_text
+from eldenet.data.array_files import read_bytes
 from eldenet.geometry import PinholeCamera, nearest_points
+from eldenet.system.files import read_text
 
 #: Height of the cameras above the road [m]: IJRR 2013, figure 3.
 CAMERA_HEIGHT = 1.65

@@ -11,11 +11,11 @@ from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import read_depth, read_image
 from eldenet.data.kitti_calibration import CAM_TO_CAM, rectified_intrinsics
 from eldenet.system.checks import one_of
+from eldenet.system.files import read_text
 from eldenet.types import Frame
 
 PICTURES = (".png", ".jpg", ".jpeg")

@@ -11,13 +11,13 @@ from typing import Unpack
 
 import numpy as np
 
-from eldenet.data.array_files import read_text
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import Encoding, depth_encoding, read_depth, read_image
 from eldenet.data.paths import check_inside, csv_pairs, find_root
 from eldenet.data.splits import hold_out
 from eldenet.geometry import pinhole, resize_intrinsics
 from eldenet.system.checks import one_of
+from eldenet.system.files import read_text
 from eldenet.types import Frame
 
 NYU_SIZE = (480, 640)

@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from eldenet.data.array_files import read_text
 from eldenet.system.errors import reading
+from eldenet.system.files import read_text
 
 VARIABLE = "ELDENET_DATA"
 

@@ -124,7 +124,7 @@ class TeacherLabels(FileDataset):
         record = self.folder / "pictures.json"  # file -> stamp of the picture that its label is of
         try:
             known: dict[str, str] = read_json(record)
-        except ValueError:  # there is none yet
+        except (ValueError, OSError):  # there is none yet
             known = {}
         stamps = {file: _stamp(self.root / file) for (file,) in self.files}
         missing = [i for i, (file,) in enumerate(self.files) if not self._is_labeled(i, stamps[file], known)]

@@ -195,9 +195,6 @@ class CameraNet(nn.Module):
         model: image -> meters, or a tuple of such maps.
         camera_size: ``(height, width)`` of the frames [px].
         input_size: ``(height, width)`` that the network sees [px].
-
-    Raises:
-        ValueError: one side would shrink and the other grow.
     """
 
     rows: Tensor
@@ -206,12 +203,7 @@ class CameraNet(nn.Module):
     def __init__(self, model: nn.Module, camera_size: tuple[int, int], input_size: tuple[int, int]) -> None:
         super().__init__()
         pairs = list(zip(camera_size, input_size, strict=True))
-        self.shrinks = any(seen < given for given, seen in pairs)
-        if self.shrinks and any(seen > given for given, seen in pairs):
-            raise ValueError(
-                f"camera={list(camera_size)} would shrink one way and grow the other to size="
-                f"{list(input_size)}: give sizes that are both smaller or both larger"
-            )
+        self.shrinks = camera_size != input_size and all(seen <= given for given, seen in pairs)
         self.model, self.camera_size, self.input_size = model, camera_size, input_size
         whole = [given // seen for given, seen in pairs if given % seen == 0]
         self.blocks = (whole[0], whole[1]) if len(whole) == 2 else None

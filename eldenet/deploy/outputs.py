@@ -80,7 +80,7 @@ class Results:
         """Whether the same command was stopped here before all results were written."""
         try:
             noted = read_json(self.folder / UNFINISHED)
-        except ValueError:
+        except (ValueError, OSError):
             return False
         return not self.overwrite and self.settings is not None and noted == self.settings
 

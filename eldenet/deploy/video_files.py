@@ -156,10 +156,9 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
     """Give a function that adds a frame ``(h, w, 3)`` uint8 RGB; the .mp4 file appears at the end.
 
     An error or Ctrl-C keeps the video up to there, as what a camera showed does not come again. A video
-    without frames leaves no file. Frames with a side above ``LARGEST_SIDE`` are made smaller.
+    without frames leaves no file. Frames get the size of the first one, at most ``LARGEST_SIDE``.
 
     Raises:
-        ValueError: a frame has another size than the first one.
         OSError: the file cannot be written.
     """
     import av
@@ -167,10 +166,9 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
     unfinished = part_path(path)
     container: Any = None
     stream: Any = None
-    first: tuple[int, ...] = ()
 
     def add(picture: np.ndarray) -> None:
-        nonlocal container, stream, first
+        nonlocal container, stream
         height, width = picture.shape[:2]
         if container is None:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -178,15 +176,11 @@ def open_video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray],
             container = av.open(str(unfinished), "w")
             most = max(1, min(1001, int(65535 / per_second)))  # MPEG-4 has 16 bits for a numerator
             stream = container.add_stream("mpeg4", rate=Fraction(per_second).limit_denominator(most))
-            first, scale = picture.shape, LARGEST_SIDE / max(height, width)
+            scale = LARGEST_SIDE / max(height, width)
             sides = (round(side * scale / 2) * 2 if scale < 1 else side for side in (width, height))
             stream.width, stream.height = sides
             stream.pix_fmt = "yuv420p"
             stream.bit_rate = round(BITS_PER_PIXEL * stream.width * stream.height * per_second)
-        if picture.shape != first:
-            raise ValueError(
-                f"{path} shows {first[1]} x {first[0]} pixels, the next frame has {width} x {height}"
-            )
         picture = resize_image(picture, (stream.height, stream.width))
         container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")))
 

@@ -204,12 +204,12 @@ def _read(path: Path) -> tuple[list[QNetwork], dict[str, Any]]:
         content: dict[str, Any] = parse_json(notes, "its notes")
         if content.get(KEY) not in (None, _digest(content, weights)):
             raise ValueError("it does not match its digest")
-        shape, members = (
-            (content["inputs"], content["actions"], *content["hidden"]),
-            content.get("members", 1),
-        )
-        networks = [QNetwork(shape[0], shape[1], shape[2:]) for _ in range(members)]
-        (networks[0] if len(networks) == 1 else Ensemble(networks)).load_state_dict(weights)
+        inputs, actions, hidden = (content[name] for name in ("inputs", "actions", "hidden"))
+        members = min(content.get("members", 1), len(weights))
+        with torch.device("meta"):  # the notes may claim any size, but only the weights take memory
+            networks = [QNetwork(inputs, actions, tuple(hidden)) for _ in range(members)]
+        network = networks[0] if len(networks) == 1 else Ensemble(networks)
+        network.load_state_dict({name: value.float() for name, value in weights.items()}, assign=True)
         Driver(**content["observer"])
     return networks, content
 

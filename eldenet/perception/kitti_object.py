@@ -13,12 +13,11 @@ from typing import Self
 import numpy as np
 
 from eldenet.boxes import ArrayRows, Boxes3D, Detections2D
-from eldenet.data.array_files import read_text
 from eldenet.data.io import read_image
 from eldenet.data.kitti_calibration import entry, read_scan
 from eldenet.data.paths import find_root
 from eldenet.geometry import PinholeCamera, nearest_points
-from eldenet.system.files import write_text
+from eldenet.system.files import read_text, write_text
 
 TREE = """
 training/

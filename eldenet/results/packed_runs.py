@@ -38,7 +38,7 @@ def file_state(path: Path) -> tuple[int, int, int]:
 @lru_cache(maxsize=8)
 def _records(path: Path, state: tuple[int, int, int]) -> dict[str, dict[str, Any]]:
     try:
-        lines = read_text(path, MOST).splitlines()
+        lines = read_text(path, most=MOST).splitlines()
         records = [parse_json(line, f"line {number}") for number, line in enumerate(lines, 1)]
         return {str(record.pop(NAME)): record for record in records}
     except (ValueError, KeyError, AttributeError, TypeError) as error:

@@ -53,16 +53,11 @@ def check_digests(config: Mapping[str, Any], path: Path, weights: Path) -> None:
     Raises:
         ValueError: a digest does not match.
     """
-    stored = config.get(KEY, {})
-    if not isinstance(stored, Mapping):
-        raise ValueError(f"{path} is damaged (its entry {KEY!r} is not a mapping): fetch or save it again")
-    if stored.get("weights", None) not in (None, file_digest(weights)):
-        raise ValueError(
-            f"{weights} does not match its digest in {path.name}: it is damaged, fetch or save the model "
-            f"again; if you replaced it on purpose, remove the entry {KEY!r} of {path.name}"
-        )
-    if stored.get("config", None) not in (None, digest_of(canonical(config))):
-        raise ValueError(
-            f"{path} does not match its own digest: it is damaged, fetch or save the model again; if you "
-            f"changed it on purpose, remove its entry {KEY!r}"
-        )
+    stored = config.get(KEY)
+    found = {weights: ("weights", file_digest(weights)), path: ("config", digest_of(canonical(config)))}
+    for file, (name, digest) in found.items():
+        if isinstance(stored, Mapping) and stored.get(name) not in (None, digest):
+            raise ValueError(
+                f"{file} does not match its digest in {path.name}: it is damaged, fetch or save the model "
+                f"again; if you changed it on purpose, remove the entry {KEY!r} of {path.name}"
+            )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 """What a command shows in one line; any other error is a bug and shows its traceback."""
+AGAIN = "fetch or write it again"
 FULL = (errno.ENOSPC, errno.EDQUOT)
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EFBIG)
 # how torch hands over an error of a worker that loads data: with its traceback inside
@@ -20,7 +21,7 @@ class DiskError(OSError):
 
 
 @contextmanager
-def reading(source: object, kind: str, advice: str = "fetch or write it again") -> Iterator[None]:
+def reading(source: object, kind: str, advice: str = AGAIN) -> Iterator[None]:
     """Turn every error of a reader, which may be of any type, into a ``ValueError`` that names the file."""
     try:
         yield

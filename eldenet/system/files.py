@@ -1,4 +1,4 @@
-"""Files that appear whole: written beside their place first, then renamed."""
+"""Files that appear whole, and guarded readers of text, JSON, YAML and CSV."""
 
 import csv
 import gzip
@@ -11,11 +11,11 @@ import shutil
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from io import BytesIO, StringIO
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from eldenet.system.errors import writing
+from eldenet.system.errors import AGAIN, reading, writing
 from eldenet.system.escaping import csv_cell
 
 MOST_YAML, MOST_TEXT = 1_000_000, 100_000_000  # bytes; of a compressed file, those that it holds
@@ -124,25 +124,6 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
 
 
-def read_text(path: Path, most: int = MOST_TEXT) -> str:
-    """Return the text of a file (UTF-8), which is compressed where its name ends with ``.gz``.
-
-    Raises:
-        ValueError: it is damaged, no text, or longer than ``most`` bytes.
-    """
-    if path.stat().st_size <= most:
-        content = path.read_bytes()
-        if path.suffix == ".gz":
-            try:
-                with gzip.open(BytesIO(content)) as packed:
-                    content = packed.read(most + 1)
-            except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-                raise ValueError(f"it is cut or damaged: {error}") from error
-        if len(content) <= most:
-            return content.decode()
-    raise ValueError(f"it has more than the {most // 1_000_000} MB allowed")
-
-
 def safe_stem(name: str) -> str:
     """Return a name from foreign data as part of a file's name: no folders, no odd characters, not hidden."""
     return re.sub(r"[^\w.+-]+", "_", name).lstrip(".")[:100] or "unnamed"
@@ -192,28 +173,6 @@ def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]])
     write_text(path, text.getvalue())
 
 
-def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Return the rows of a CSV file by column.
-
-    Raises:
-        ValueError: it is not text, lacks one of ``columns``, or has a row with more or fewer cells.
-    """
-    try:
-        reader = csv.DictReader(StringIO(read_text(path), newline=""), strict=True)
-        rows, header = list(reader), list(reader.fieldnames or ())
-    except (ValueError, csv.Error) as error:
-        raise ValueError(f"{path} is not a CSV file ({error}): restore it, or make it again") from error
-    missing = [name for name in columns if name not in header]
-    if missing:
-        raise ValueError(
-            f"{path} has the columns {header}, but needs {missing}: restore it, or make it again"
-        )
-    for number, row in enumerate(rows, 2):
-        if None in row or None in row.values():
-            raise ValueError(f"{path}, line {number} is cut or damaged: restore the file, or make it again")
-    return rows
-
-
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
     """Write plain values as a YAML file."""
     import yaml
@@ -221,26 +180,74 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
 
 
+# --- readers: a damaged file, or one beyond a limit, is an error that names it ------------------------------
+
+
+def read_text(path: Path, advice: str = AGAIN, most: int = MOST_TEXT) -> str:
+    """Return the text of a file (UTF-8), which is compressed where its name ends with ``.gz``.
+
+    Args:
+        path: of the file.
+        advice: what to do if it is missing or no text.
+        most: bytes that it may hold.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is damaged, no text, or too long.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist{' as a file' * path.exists()}: {advice}")
+    with reading(path, "text file", advice):
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            content = file.read(most + 1)
+        if len(content) > most:
+            raise ValueError(f"it has more than the {most // 1_000_000} MB allowed")
+        if b"\0" in content:
+            raise ValueError("it contains zero bytes")
+        return content.decode("utf-8-sig")  # some editors start files with a byte-order mark
+
+
+def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """Return the rows of a CSV file by column.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is not text, lacks one of ``columns``, or has a row with more or fewer cells.
+    """
+    text = read_text(path)
+    with reading(path, "table"):
+        reader = csv.DictReader(StringIO(text, newline=""), strict=True)
+        rows, header = list(reader), list(reader.fieldnames or ())
+        if missing := [name for name in columns if name not in header]:
+            raise ValueError(f"it has the columns {header}, but needs {missing}")
+        cut = [number for number, row in enumerate(rows, 2) if None in row or None in row.values()]
+        if cut:
+            raise ValueError(f"line {cut[0]} has more or fewer cells")
+    return rows
+
+
 def read_yaml(path: Path) -> Any:
     """Return the plain values of a YAML file.
 
     Raises:
-        ValueError: the file is missing, not YAML, or larger than :data:`MOST_YAML`.
+        FileNotFoundError: there is no such file.
+        ValueError: it is not YAML, or larger than :data:`MOST_YAML`.
     """
     import yaml
 
-    with _readable(path, "YAML", yaml.YAMLError):
-        return yaml.safe_load(read_text(path, MOST_YAML))
+    text = read_text(path, most=MOST_YAML)
+    with reading(path, "YAML file"):
+        return yaml.safe_load(text)
 
 
 def read_json(path: Path) -> Any:
     """Return the plain values of a JSON file.
 
     Raises:
-        ValueError: the file is missing, not JSON, larger than :data:`MOST_TEXT` or nested too deep.
+        FileNotFoundError: there is no such file.
+        ValueError: it is not JSON, larger than :data:`MOST_TEXT` or nested too deep.
     """
-    with _readable(path, "JSON"):
-        return _json(read_text(path))
+    return parse_json(read_text(path), path)
 
 
 def parse_json(text: str, source: object) -> Any:
@@ -249,27 +256,13 @@ def parse_json(text: str, source: object) -> Any:
     Raises:
         ValueError: the text is not JSON, or nested too deep.
     """
-    with _readable(source, "JSON"):
-        return _json(text)
-
-
-@contextmanager
-def _readable(source: object, kind: str, *errors: type[Exception]) -> Iterator[None]:
-    try:
-        yield
-    except (ValueError, TypeError, OSError, OverflowError, RecursionError, *errors) as error:  # type: ignore[misc]
-        too_deep = isinstance(error, RecursionError)
-        reason = "it is nested too deep" if too_deep else " ".join(str(error).split())[:300]
-        raise ValueError(f"{source} can't be read as {kind}: {reason}") from error
-
-
-def _json(text: str) -> Any:
-    level = [content := json.loads(text, parse_int=_whole_number, parse_constant=_refuse_constant)]
-    for _ in range(DEEPEST):
-        nested = (value for value in level if isinstance(value, dict | list))
-        level = [part for value in nested for part in (value.values() if isinstance(value, dict) else value)]
-    if level:
-        raise RecursionError
+    with reading(source, "JSON file"):
+        level = [content := json.loads(text, parse_int=_whole_number, parse_constant=_refuse_constant)]
+        for _ in range(DEEPEST):
+            lists = [list(value.values()) if isinstance(value, dict) else value for value in level]
+            level = [part for value in lists if isinstance(value, list) for part in value]
+        if level:
+            raise RecursionError("it is nested too deep")
     return content
 
 

@@ -104,8 +104,7 @@ def choose_resources(
 
         if device == "auto":
             device = "cuda" if torch.cuda.is_available() else "cpu"
-        if device == "cuda" and not torch.cuda.is_available():
-            raise ValueError("device=cuda, but torch sees no CUDA device: use device=auto or device=cpu")
+        check_torch_device(device)
     elif device == "auto":
         device = "cpu"
     # processes of one machine (torchrun, accelerate launch) share its cores
@@ -128,6 +127,15 @@ def choose_resources(
     full_fp32()
     precision = resolve_precision(precision, device)
     return Resources(device, precision, threads, workers, cores, number_of_processes())
+
+
+def check_torch_device(device: str) -> None:
+    """Raise ValueError unless torch can compute on ``device`` here, "cpu" or "cuda"."""
+    import torch
+
+    one_of("device", device, ("cpu", "cuda"))
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device=cuda, but torch sees no CUDA device: use device=cpu")
 
 
 def full_fp32() -> None:

@@ -8,12 +8,11 @@ import numpy as np
 
 from eldenet.boxes import Detections2D
 from eldenet.data.arenas import Arenas
-from eldenet.data.array_files import read_text
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
 from eldenet.simulation.street_views import STREETS_VERSION, names_of, render_objects
 from eldenet.system.errors import reading
-from eldenet.system.files import read_json, write_text
+from eldenet.system.files import read_json, read_text, write_text
 from eldenet.visualization import write_picture
 
 PICTURES, BOXES, SETTINGS = "images", "labels", "settings.json"

@@ -149,7 +149,7 @@ def test_the_error_for_what_is_missing_lists_what_there_is(trained_model, files,
             {"runtime": "onnxruntime", "precision": "int8"},
             "calibration pictures: export a file",
         ),
-        (trained_model, {"device": "tpu"}, "torch runs on cpu or cuda"),
+        (trained_model, {"device": "tpu"}, "give one of cpu, cuda"),
         (eldenet.load("eldenet_s"), {"runtime": "onnxruntime"}, "needs a size"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -186,7 +186,7 @@ def test_evaluate_runs_a_file_where_it_is_asked_to(files, tmp_path) -> None:
 
 def test_wrong_images_are_refused(files, images) -> None:
     for network in (runtimes.load(files["onnx"], name, threads=1) for name in ("onnxruntime", "openvino")):
-        with pytest.raises(ValueError, match=r"this network takes \(B, 3, H, W\) float32"):
+        with pytest.raises(ValueError, match=r"takes float32 RGB .* of shape \(any, 3, 32, 64\)"):
             network((images * 255).astype(np.uint8))
         with pytest.raises(ValueError, match="export another"):
             network(images[..., :-8])

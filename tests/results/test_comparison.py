@@ -169,7 +169,7 @@ def test_runs_are_found_and_damaged_ones_named(tmp_path):
     assert len(find_runs([str(tmp_path / "a" / "run.json")])) == 1
     assert len(find_runs([str(tmp_path), str(tmp_path / "a")])) == 2  # not twice
     (tmp_path / "a" / "run.json").write_text("{")
-    with pytest.raises(ValueError, match="can't be read as JSON"):
+    with pytest.raises(ValueError, match="not a valid JSON file"):
         find_runs([str(tmp_path)])
     (tmp_path / "a" / "run.json").write_text("{}")
     with pytest.raises(ValueError, match="has no metrics"):

@@ -119,16 +119,14 @@ def fastest(
         ValueError: no runtime can run it; the message gives the reason for each.
     """
     threads = available_cores() if threads is None else threads
-    able, reasons = {}, {}
+    able, reasons = {}, []
     for name in READS[Path(path).suffix]:
         try:
             able[name] = _open(Path(path), name, precision, threads, device)
         except (ValueError, ImportError) as error:
-            reasons[name] = str(error)
-    if len(set(reasons.values())) == 1 and not able:
-        raise ValueError(next(iter(reasons.values())))
+            reasons.append(str(error))
     if not able:
-        raise ValueError("; ".join(f"{name}: {reason}" for name, reason in reasons.items()))
+        raise ValueError("; ".join(dict.fromkeys(reasons)))
     first = next(iter(able.values()))
     if len(able) == 1:
         return first

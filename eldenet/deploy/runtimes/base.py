@@ -1,7 +1,7 @@
 """The base class of all runtimes: images in, meters out."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -34,8 +34,9 @@ class Runtime:
         threads: on a CPU.
         device: "cpu" or the accelerator's name.
         metadata: of the file (:func:`eldenet.deploy.metadata.describe`).
-        source: of the metadata, for messages.
         info: like ``DepthNet.info``: the size that the network sees [px], its stretch, and the model's name.
+        shape: of the input; None for a side of any length.
+        fixed_batch: the only number of images that it takes at once; None: any.
         fixed_size: the only ``(height, width)`` that the network can see [px]; None: any.
         camera_size: ``(height, width)`` of the frames that it takes [px], or None.
         takes_frames: whether it takes uint8 frames.
@@ -61,9 +62,12 @@ class Runtime:
         device: str,
         metadata: Mapping[str, str],
         source: object = "metadata",
+        shape: Sequence[Any] = (None, 3, None, None),
     ) -> None:
         self.precision, self.threads, self.device = precision, threads, device
-        self.metadata, self.source = dict(metadata), source
+        self.metadata = dict(metadata)
+        self.shape = tuple(side if isinstance(side, int) else None for side in shape)
+        self.fixed_batch = self.shape[0] if self.shape else None
         with reading(source, "exported network", EXPORT_AGAIN):
             self.camera_size, self.whole_frame_size, self.fixed_size = map(
                 self._size, ("camera_size", "whole_frame_size", "input_size")
@@ -93,11 +97,6 @@ class Runtime:
         if value is not None and not (type(value) in (int, float) and 0 < value < math.inf):
             raise ValueError(f"{name} is {value!r}, but must be null or a number above 0")
         return value
-
-    @property
-    def fixed_batch(self) -> int | None:
-        """The only number of images that it takes at once; None: any."""
-        return None
 
     def run(self, images: np.ndarray) -> np.ndarray:
         """Run arrays that :meth:`__call__` has checked."""
@@ -146,11 +145,14 @@ class Runtime:
 
     def _checked(self, images: "np.ndarray | Tensor") -> np.ndarray:
         given = images if isinstance(images, np.ndarray) else images.detach().cpu().numpy()
-        wanted, channels = (np.uint8, 3) if self.takes_frames else (np.float32, 1)
-        if given.ndim != 4 or given.shape[channels] != 3 or given.dtype != wanted:
+        wanted = np.uint8 if self.takes_frames else np.float32
+        fits = [side in (None, has) for side, has in zip(self.shape, given.shape, strict=False)]
+        if given.dtype != wanted or given.ndim != len(self.shape) or not all(fits):
+            sides = ", ".join("any" if side is None else str(side) for side in self.shape)
+            kind = "uint8 RGB frames" if self.takes_frames else "float32 RGB images in [0, 1]"
             raise ValueError(
-                f"images are {given.shape} {given.dtype}; this network takes "
-                + ("(B, H, W, 3) uint8 RGB frames" if self.takes_frames else "(B, 3, H, W) float32 in [0, 1]")
+                f"images are {given.shape} {given.dtype}; this network takes {kind} of shape ({sides}): give "
+                "such, or export another file"
             )
         return np.ascontiguousarray(given)
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from eldenet.deploy.metadata import own_metadata
 from eldenet.deploy.runtimes.base import Runtime, refuse
-from eldenet.system.errors import first_line
 from eldenet.system.onnx_files import CPU, CUDA, TENSORRT, open_session
 
 PROVIDERS = {"cpu": CPU, "cuda": CUDA, "tensorrt": TENSORRT}
@@ -42,21 +41,10 @@ class OnnxRuntime(Runtime):
             if "int8" in (own, precision)
             else "bf16 runs under OpenVINO (runtime=openvino) and torch",
         )
-        super().__init__(own, threads, "cpu" if provider == CPU else device, metadata, path)
-        self.input = self.session.get_inputs()[0].name
-
-    @property
-    def fixed_batch(self) -> int | None:
-        """Batch of the input's shape, where it is a number."""
-        batch = self.session.get_inputs()[0].shape[0]
-        return batch if isinstance(batch, int) else None
+        (port,) = self.session.get_inputs()
+        self.input = port.name
+        super().__init__(own, threads, "cpu" if provider == CPU else device, metadata, path, port.shape)
 
     def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
         """Run arrays."""
-        try:
-            return list(self.session.run(None, {self.input: images}))
-        except Exception as error:  # the only common base of its exception classes
-            shape = self.session.get_inputs()[0].shape
-            raise ValueError(
-                f"images are {images.shape}, this file takes {shape}: export another ({first_line(error)})"
-            ) from error
+        return list(self.session.run(None, {self.input: images}))

@@ -67,23 +67,14 @@ class OpenvinoRuntime(Runtime):
             settings["INFERENCE_NUM_THREADS"] = threads
         with reading(path, "file for OpenVINO", EXPORT_AGAIN):
             self.compiled = core.compile_model(str(path), name, settings)
-        super().__init__(precision, threads, device.lower(), metadata, path)
+            sides = list(self.compiled.input(0).partial_shape)
+        shape = [side.get_length() if side.is_static else None for side in sides]
+        super().__init__(precision, threads, device.lower(), metadata, path, shape)
         self.request = self.compiled.create_infer_request()
         self._one_at_a_time = threading.Lock()
 
-    @property
-    def fixed_batch(self) -> int | None:
-        """Batch of the input's shape, where it is a number."""
-        batch = self.compiled.input(0).partial_shape[0]
-        return int(batch.get_length()) if batch.is_static else None
-
     def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
         """Run arrays."""
-        from openvino import PartialShape
-
-        expected = self.compiled.input(0).partial_shape
-        if not expected.compatible(PartialShape(list(images.shape))):
-            raise ValueError(f"images are {images.shape}, this file takes {expected}: export another")
         with self._one_at_a_time:  # until the copy is made: the request reuses the memory
             found = self.request.infer([images], share_inputs=True, share_outputs=True)
             return [found[number].copy() for number in range(len(self.compiled.outputs))]

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from eldenet.deploy.fold import fold
 from eldenet.deploy.runtimes.base import Runtime, refuse
 from eldenet.model import DepthNet
-from eldenet.system.resources import full_fp32
+from eldenet.system.resources import check_torch_device, full_fp32
 
 DTYPES = {"bf16": torch.bfloat16, "fp16": torch.float16}
 
@@ -42,10 +42,7 @@ class TorchRuntime(Runtime):
         device: str = "cpu",
         metadata: Mapping[str, str] | None = None,
     ) -> None:
-        if device not in ("cpu", "cuda"):
-            raise ValueError(f"device={device!r}: torch runs on cpu or cuda")
-        if device == "cuda" and not torch.cuda.is_available():
-            raise ValueError("device=cuda, but torch sees no CUDA device: use device=cpu")
+        check_torch_device(device)
         allowed = ("fp32", "bf16", "fp16") if device == "cuda" else ("fp32", "bf16")
         refuse(precision, allowed, layout, "for int8 export a file (eldenet export precision=int8)")
         if device == "cuda":
