@@ -1,9 +1,9 @@
 """Evaluation protocols: the rules under which depth is scored, from the camera's frame to the averages."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from eldenet.geometry import crop_corner
 
@@ -82,23 +82,29 @@ class EvalProtocol:
     inverse_scale: float | None = None
 
     def __post_init__(self) -> None:
+        for problem in self._problems():
+            raise ValueError(f"protocol {self.name}: {problem}")
+        # lists of YAML become tuples, so that protocols compare
+        for field in _PIXELS:
+            self._set(field, int, getattr(self, field))
+        self._set("resize", int, self.resize if isinstance(self.resize, Sequence) else None)
+        self._set("crop_fractions", float, self.crop_fractions)
+
+    def _problems(self) -> Iterator[str]:
+        """What makes no sense in these rules."""
         for field, allowed in _CHOICES.items():
             if getattr(self, field) not in allowed:
-                self._refuse(f"{field}={getattr(self, field)!r}, choose one of {allowed}")
+                yield f"{field}={getattr(self, field)!r}, choose one of {allowed}"
         if not 0 < self.min_depth < self.max_depth:
-            self._refuse("0 < min_depth < max_depth is needed [m]")
+            yield "0 < min_depth < max_depth is needed [m]"
         if self.inverse_scale is not None and not self.inverse_scale > 0:
-            self._refuse(f"inverse_scale={self.inverse_scale}, give meters above 0, or null")
-        # lists of YAML become tuples, so that protocols compare
+            yield f"inverse_scale={self.inverse_scale}, give meters above 0, or null"
         for field, count in _PIXELS.items():
             value = getattr(self, field)
             if value is not None and len(value) != count:
-                self._refuse(f"{field}={tuple(value)}, give {count} numbers [px]")
-            self._set(field, int, value)
-        self._set("resize", int, self.resize if isinstance(self.resize, Sequence) else None)
-        self._set("crop_fractions", float, self.crop_fractions)
+                yield f"{field}={tuple(value)}, give {count} numbers [px]"
         if self.crop is not None and self.size is None:
-            self._refuse(f"crop={self.crop} needs size, the ground truth's (height, width)")
+            yield f"crop={self.crop} needs size, the ground truth's (height, width)"
         for field, limits, where in (
             ("frame_box", (math.inf, math.inf), "[px]"),
             ("crop", self.size, f"within size={self.size}"),
@@ -106,15 +112,12 @@ class EvalProtocol:
         ):
             box = getattr(self, field)
             if box is not None and limits is not None and not _is_box(box, limits):
-                self._refuse(f"{field}={box} must be (top, bottom, left, right) {where}")
+                yield f"{field}={box} must be (top, bottom, left, right) {where}"
         if self.paste and (self.frame_crop is None or self.frame_box or self.resize or self.frame_size):
-            self._refuse(
+            yield (
                 "paste=True pastes predictions of frame_crop into the whole ground truth: give frame_crop, "
                 "and no frame_box, resize or frame_size"
             )
-
-    def _refuse(self, reason: str) -> NoReturn:
-        raise ValueError(f"protocol {self.name}: {reason}")
 
     def _set(self, field: str, kind: type, value: Sequence[float] | None) -> None:
         if value is not None:
@@ -184,7 +187,10 @@ class EvalProtocol:
             return None
         rows, cols = self.frame_crop
         if rows > height or cols > width:
-            self._refuse(f"frame_crop={self.frame_crop} does not fit into ground truth of {height}x{width}")
+            raise ValueError(
+                f"protocol {self.name}: frame_crop={self.frame_crop} does not fit into ground truth of "
+                f"{height}x{width}"
+            )
         top, left = crop_corner((height, width), (rows, cols), self.frame_anchor)
         return top, top + rows, left, left + cols
 
