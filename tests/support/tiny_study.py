@@ -28,7 +28,7 @@ rate_overrides:
   - data.subset_seed=0
 reference: [eldenet_s]
 columns: [rmse, delta1]
-plots: [pareto, convergence]
+plots: [pareto]
 rows:
   eldenet_s: {{overrides: [model=eldenet_s], seeds: [0, 1]}}
   wrong: {{overrides: [model=eldenet_s, trainer.monitor=accuracy], learning_rate: 1.0e-3}}

@@ -81,7 +81,7 @@ class Study:
             training's history, where the epoch was chosen on the frames of the table. There are no
             differences then, since the metrics of single images are those of the kept weights.
         plots: "pareto" (accuracy against latency or, without one, multiply-adds), "differences" (to the
-            reference rows, with intervals), "convergence" (curves over the epochs).
+            reference rows, with intervals).
         latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies,
             since those that runs measure beside other work mislead.
         composition: how a row's overrides become settings.
@@ -264,7 +264,7 @@ def _rates(value: Any) -> bool:
 
 
 _NAME = re.compile(r"\w[\w.+-]*")
-_PLOTS = {"pareto", "differences", "convergence"}
+_PLOTS = {"pareto", "differences"}
 _KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "overrides": (_overrides, "a list of overrides of a training, such as [model=eldenet]"),
     "rate_overrides": (_overrides, "a list of overrides of a training, such as [trainer.epochs=6]"),
@@ -286,5 +286,5 @@ _KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "learning_rate": (lambda value: value is None or _rates((value,)), "a number above 0, such as 1.0e-3"),
     "learning_rates": (_rates, "a list of numbers above 0, such as [3.0e-4, 1.0e-3]"),
     "epoch": (lambda value: _line(value) and value in ("chosen", "last"), "chosen or last"),
-    "plots": (lambda value: _all(value, str) and set(value) <= _PLOTS, "pareto, differences or convergence"),
+    "plots": (lambda value: _all(value, str) and set(value) <= _PLOTS, "pareto or differences"),
 }

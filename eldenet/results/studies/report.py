@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER
-from eldenet.results.plots import curves_plot, differences_plot, pareto_plot
+from eldenet.results.plots import differences_plot, pareto_plot
 from eldenet.results.run_log import RunLog
-from eldenet.results.studies.convergence import NOTES, convergence
 from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.plan import Composition, Study, read_study
 from eldenet.results.studies.tables import Block, build_blocks
@@ -43,8 +42,6 @@ def write_study_report(folder: str | Path, composition: Composition) -> list[Blo
         for level, name, cells, notes in tables
     ]
     latex = [table for block in blocks for table in _latex_of(block)]
-    if "convergence" in study.plots:
-        _add_convergence(study, markdown, latex)
     points = {block.name: block.points for block in blocks if block.points}
     if "pareto" in study.plots and points:
         latencies = Latencies.read(study)
@@ -96,17 +93,6 @@ def _latex_of(block: Block) -> list[str]:
         short = [title.removeprefix("published ") for title in titles]
         tables.append(to_latex(short, rows, [f"{block.name}: published elsewhere"]))
     return tables
-
-
-def _add_convergence(study: Study, markdown: list[str], latex: list[str]) -> None:
-    found = convergence(study)
-    cells = found.by_row()
-    markdown += ["## convergence", "", to_markdown(*cells, NOTES)]
-    latex.append(to_latex(*cells, ["convergence", *NOTES], ()))
-    write_rows(study.folder / "convergence.csv", *found.by_run())
-    if found.curves:
-        curves_plot(study.folder / "convergence.png", found.curves)
-        markdown += ["![curves](convergence.png)", ""]
 
 
 def _write_csv(study: Study, blocks: Sequence[Block]) -> None:

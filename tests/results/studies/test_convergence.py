@@ -3,16 +3,15 @@
 from pathlib import Path
 
 import pytest
+from support.scripts import load_scripts
 from support.stored_study import figures, history, store, write_plan
 
 from eldenet.compose import compose
-from eldenet.results.studies.convergence import (
-    convergence,
-    curves,
-    validation_loss,
-)
 from eldenet.results.studies.plan import Study
 from eldenet.train import TrainSettings
+
+(script,) = load_scripts("", "convergence")
+convergence, curves, validation_loss = script.convergence, script.curves, script.validation_loss
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ def test_errors_in_a_plan_are_named(tiny, tmp_path):
         ("reference: [eldenet_s]", "reference: eldenet_s", "a list of rows"),
         *(("seeds: [0, 1]}", f"seeds: {seeds}}}", "different seeds") for seeds in ("1", "[0, 0]", "[a]")),
         ("overrides: [model=eldenet],", "overrides: model=eldenet,", "a list of overrides"),
-        ("plots: [pareto, convergence]", "plots: [parreto]", "pareto, differences or convergence"),
+        ("plots: [pareto]", "plots: [parreto]", "pareto or differences"),
         ("learning_rate: 1.0e-3}", "learning_rate: fast}", "a number above 0"),
         ("learning_rates: [1.0e-4, 1.0e-3]", "learning_rates: 1.0e-3", "a list of numbers"),
         ("given: {kitti: data.root}", "given: data.root", "a mapping"),

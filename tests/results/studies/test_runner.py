@@ -86,13 +86,11 @@ def report_is_right(folder: Path) -> None:
     assert float(rows["scratch/eldenet"]["low"]) < float(rows["scratch/eldenet"]["high"])
     assert ours["delta1 - eldenet_s's [95 %]"] == ""  # the reference itself
     text = (folder / "results.md").read_text()
-    for part in ("protocol rooms", "### scratch: published elsewhere", "## convergence"):
+    for part in ("protocol rooms", "### scratch: published elsewhere"):
         assert part in text
     assert "### rooms: published" not in text
-    for name in ("results.tex", "pareto.png", "convergence.png"):
+    for name in ("results.tex", "pareto.png"):
         assert (folder / name).stat().st_size > 200
-    (header,) = (folder / "convergence.csv").read_text().splitlines()  # one epoch is no curve
-    assert header.startswith("run,curve,level,")
 
 
 def test_a_row_of_another_study_is_run_once(tiny, tmp_path):

@@ -1,15 +1,24 @@
-"""Convergence of a study's runs: curves, speed, fluctuation, and their table."""
+"""Convergence of a study's runs: curves, speed, fluctuation, and their table.
+
+python experiments/convergence.py experiments/fig7_convergence    # convergence.md, .csv and .png of its runs
+"""
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 
 import numpy as np
 
+from eldenet.config import training_composition
+from eldenet.results.plots import pyplot_for_files, save_figure
 from eldenet.results.studies.matching import stored_runs
-from eldenet.results.studies.plan import Study
+from eldenet.results.studies.plan import Study, read_study
+from eldenet.results.tables import to_markdown
+from eldenet.system.files import write_rows, write_text
 
 Curve = tuple[list[int], list[float]]  # epochs and values
 SHARE = 0.9  # of a curve's own descent
@@ -217,3 +226,67 @@ def _figures(curve: Curve, level: float | None) -> dict[str, float | None]:
         "late": None if level is None else first_epoch(epochs, values, level),
         "fluctuation": fluctuation(values),
     }
+
+
+def _by_row(runs: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, list[tuple[Any, Any]]]:
+    """Row -> epochs and values of each of its runs with the curve ``key``."""
+    rows: dict[str, list[tuple[Any, Any]]] = {}
+    for name, curve in runs.items():
+        if key in curve:
+            rows.setdefault(name.rpartition("/")[0] or name, []).append(curve[key])
+    return rows
+
+
+def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
+    """Plot loss, SSIM and MSE over the epochs; ``runs`` is "row/seed" -> name -> epochs and values.
+
+    Each row has a color: a thin line for every run, a thick one for their mean; a dot for each run that was
+    validated once. The axes are scaled to all epochs but the first.
+    """
+    pyplot = pyplot_for_files()
+    parts, curves_of_each = {"train": "training", "val": "validation"}, ("loss", "ssim", "mse")
+    titles = {"loss": "loss", "ssim": "SSIM", "mse": "MSE [m²]"}
+    panels = {f"{part}_{name}": f"{parts[part]} {titles[name]}" for part in parts for name in curves_of_each}
+    figure, axes = pyplot.subplots(2, 3, figsize=(12, 6), sharex=True)
+    names = dict.fromkeys(name.rpartition("/")[0] or name for name in runs)
+    colors = {row: f"C{number}" for number, row in enumerate(names)}
+    for axis, (key, title) in zip(axes.flat, panels.items(), strict=True):
+        rows = _by_row(runs, key)
+        for row, curves in rows.items():
+            for epochs, values in curves:
+                dot = "." if len(values) == 1 else ""
+                axis.plot(epochs, values, marker=dot, color=colors[row], linewidth=0.6, alpha=0.6)
+            shortest = min(len(epochs) for epochs, _ in curves)
+            mean = np.mean([values[:shortest] for _, values in curves], axis=0)
+            label = f"{row} ({len(curves)} seed{'s' if len(curves) > 1 else ''})"
+            axis.plot(curves[0][0][:shortest], mean, color=colors[row], linewidth=1.6, label=label)
+        axis.set_title(title, fontsize=9)
+        axis.grid(alpha=0.3)
+        later = [value for curves in rows.values() for _, values in curves for value in values[1:] or values]
+        if not rows:
+            axis.text(0.5, 0.5, "not logged", ha="center", transform=axis.transAxes, fontsize=8)
+        if later:  # a bad first epoch would squeeze the others, so it may lie outside the axes
+            room = 0.05 * (max(later) - min(later)) or 0.1
+            axis.set_ylim(min(later) - room, max(later) + room)
+    axes[0, 0].legend(fontsize=7)
+    for axis in axes[1]:
+        axis.set_xlabel("epoch")
+    figure.tight_layout()
+    save_figure(figure, path)
+
+
+def main(folder: Path) -> None:
+    """Write the pages of a study."""
+    study = read_study(folder, training_composition())
+    found = convergence(study)
+    text = [f"# {study.name}: convergence", "", to_markdown(*found.by_row(), NOTES)]
+    write_rows(folder / "convergence.csv", *found.by_run())
+    if found.curves:
+        curves_plot(folder / "convergence.png", found.curves)
+        text += ["![curves](convergence.png)", ""]
+    text += [f"Made by `python experiments/convergence.py {folder}`.", ""]
+    write_text(folder / "convergence.md", "\n".join(text))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
