@@ -26,10 +26,12 @@ from hydra.core.config_store import ConfigStore  # noqa: E402
 from hydra.core.hydra_config import HydraConfig  # noqa: E402
 from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
-from omegaconf import MISSING, DictConfig, OmegaConf, open_dict  # noqa: E402
-from omegaconf.errors import InterpolationToMissingValueError, OmegaConfBaseException  # noqa: E402
+from omegaconf import MISSING, DictConfig, OmegaConf, SCMode, open_dict  # noqa: E402
+from omegaconf.errors import InterpolationToMissingValueError, ValidationError  # noqa: E402
 
 REQUIRED: Any = MISSING  # the default of a setting that has none
+#: Metadata of a field that some choices of a group add, such as policy=dqn ``checkpoint``; None without them.
+FROM_CHOICE = {"from_choice": True}
 #: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
 FOCAL_RANGE = (0.4, 2.0)
 Settings = TypeVar("Settings")
@@ -44,14 +46,15 @@ def compose(settings: type[Settings], overrides: Sequence[str] = ()) -> Settings
     """Return a command's settings, as its command line would.
 
     Args:
-        settings: the command's dataclass.
+        settings: the command's dataclass; a mode of the command returns its subclass.
         overrides: as on the command line, such as ``["model=eldenet_s", "seed=1"]``.
 
     Raises:
         ValueError: there is no such setting or choice, or a value does not fit.
     """
     register(settings)
-    return to_settings(settings, _load(command_of(settings), overrides))
+    composed: Settings = to_settings(_load(command_of(settings), overrides))
+    return composed
 
 
 def command_of(settings: type) -> str:
@@ -60,25 +63,32 @@ def command_of(settings: type) -> str:
 
 
 def register(settings: type) -> None:
-    """Make a dataclass known to Hydra; ``configs/<command>.yaml`` names it in its ``defaults``."""
+    """Make a dataclass and its subclasses known to Hydra; YAML files name them in their ``defaults``."""
     schema = OmegaConf.structured(settings)
     schema._set_flag("readonly", None)  # a frozen dataclass; Hydra merges into it
+    for field in fields(settings):
+        if field.metadata == FROM_CHOICE:
+            schema._set_flag("struct", False)  # until Hydra has composed it
+            del schema[field.name]
     ConfigStore.instance().store(name=settings.__name__, node=schema)
+    subclasses: list[type] = settings.__subclasses__()
+    for mode in subclasses:
+        register(mode)
 
 
-def to_settings(settings: type[Settings], config: DictConfig, **changes: Any) -> Settings:
-    """Return an instance of a command's dataclass with resolved, plain values.
+def to_settings(config: DictConfig, **changes: Any) -> Any:
+    """Return an instance of the dataclass that a config was composed for, with resolved, plain values.
 
     Args:
-        settings: the dataclass.
         config: composed; a section ``hydra`` is left out.
         changes: values instead of the config's.
 
     Raises:
         ValueError: a setting is missing or unknown, or the dataclass refuses a value.
     """
+    settings: Any = OmegaConf.get_type(config)
     config.update(changes)
-    names = [field.name for field in fields(settings)]  # type: ignore[arg-type]
+    names = [field.name for field in fields(settings)]
     unknown = set(config) - {*names, "hydra"}
     if unknown:
         raise ValueError(f"there is no setting {min(map(str, unknown))}: --help lists all settings")
@@ -86,10 +96,17 @@ def to_settings(settings: type[Settings], config: DictConfig, **changes: Any) ->
         if OmegaConf.is_missing(config, name):
             raise ValueError(f"give {name}=... on the command line")
     try:
-        return settings(**{name: plain(config[name]) for name in names})
+        return settings(**{name: _instance(config[name]) for name in names if name in config})
     except InterpolationToMissingValueError as error:
         missing = str(error).partition("\n")[0].rpartition(": ")[2]
         raise ValueError(f"give {missing}=... on the command line") from error
+
+
+def _instance(value: Any) -> Any:
+    """Return a section as an instance of its dataclass or as plain values, resolved."""
+    if not OmegaConf.is_config(value):
+        return value
+    return OmegaConf.to_container(value, resolve=True, structured_config_mode=SCMode.INSTANTIATE)
 
 
 def compose_config(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
@@ -107,9 +124,9 @@ def compose_config(config_name: str, overrides: Sequence[str] = ()) -> DictConfi
     return config
 
 
-def choices(config_name: str) -> dict[str, str | None]:
-    """Return the YAML file that a command takes from each group by default."""
-    return dict(_load(config_name, []).hydra.runtime.choices)
+def choices(config_name: str, overrides: Sequence[str] = ()) -> dict[str, str | None]:
+    """Return the YAML file that a command takes from each group, by default or with ``overrides``."""
+    return dict(_load(config_name, overrides).hydra.runtime.choices)
 
 
 def groups(config_name: str) -> dict[str, list[str]]:
@@ -141,7 +158,7 @@ def _load(config_name: str, overrides: Sequence[str]) -> DictConfig:
 
 def _wrong_type(error: BaseException | None, overrides: Sequence[str]) -> str:
     """Return one line on a value that is of another type than its dataclass's field, or ""."""
-    if not (isinstance(error, OmegaConfBaseException) and is_dataclass(error.object_type)):
+    if not (isinstance(error, ValidationError) and is_dataclass(error.object_type)):
         return ""
     kind = get_type_hints(error.object_type).get(str(error.key))
     given = [word for word in overrides if word.lstrip("+").startswith(f"{error.full_key}=")]

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from eldenet.deploy.benchmarking.run import BenchmarkSetup
     from eldenet.deploy.prediction import PredictionSetup
-    from eldenet.navigation.modes import ModeSetup
     from eldenet.results.studies.plan import Composition
     from eldenet.results.studies.runner import StudySetup, Training
 
@@ -290,85 +289,6 @@ def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
         output=Path(config.output).expanduser(),
         composition=training_composition(),
     )
-
-
-# --- navigate -----------------------------------------------------------------------------------------------
-
-
-def build_navigation(config: DictConfig, folder: Path) -> "ModeSetup":
-    """Return the setup of the mode that ``python -m eldenet.navigate`` was composed for."""
-    from eldenet.navigation.policy_files import policy_files
-
-    settings = plain(config)
-    policy_files((settings.get("policy") or {}).get("path"))
-    from eldenet.navigation import modes
-    from eldenet.navigation.episodes import EpisodeSettings
-    from eldenet.navigation.latency import Predictive
-
-    names = ("physics", "goal", "time_limit", "seed", "range_filter", "range_scale")
-    episode = {name: settings[name] for name in names if name in settings}
-    episode |= {f"robot_{name}": value for name, value in settings.get("robot", {}).items()}
-    check_arguments(EpisodeSettings, episode)
-    common: dict[str, Any] = {
-        "mode": config.mode,
-        "folder": folder,
-        "threads": config.runtime.threads,
-        "make_sensor": functools.partial(instantiate, config.sensor),
-        "episode": EpisodeSettings(**episode),
-        "settings": settings,
-    }
-    if config.mode == "train":
-        make_learner = functools.partial(_build_learner, config)
-        return modes.TrainSetup(**common, make_learner=make_learner, validate=config.training.validate)
-    densities = listed(config.density)
-    if any(type(density) is not int for density in densities):
-        raise ValueError(f"density={config.density}: give a whole number, or a list of them")
-    counted = ("pedestrians", "world", "episodes", "robots")
-    check_arguments(
-        modes.RecordSetup if config.mode == "record" else modes.EvaluationSetup,
-        {name: settings[name] for name in counted if name in settings},
-    )
-    policy = instantiate(config.policy)
-    late = config.sensor.latency if config.predict_latency else 0.0
-
-    def make_policy(robots: int) -> Any:
-        driver = policy(robots=robots)
-        return Predictive(driver, late, robots) if late else driver
-
-    common |= {
-        "make_policy": make_policy,
-        "split": config.split,
-        "kind": config.arena.kind,
-        "pedestrians": config.pedestrians,
-    }
-    if config.mode == "record":
-        if len(densities) != 1:
-            raise ValueError(f"density={densities}: mode=record only records one arena: give one number")
-        extra = {name: settings[name] for name in ("world", "course", "video")}
-        extra["arena_file"] = settings["arena"]["file"]
-        return modes.RecordSetup(**common, density=densities[0], **extra)
-    return modes.EvaluationSetup(
-        **common, densities=densities, episodes=config.episodes, robots=config.robots
-    )
-
-
-def _build_learner(config: DictConfig, sensor: Any) -> Any:
-    from eldenet.navigation.dqn import DQN
-    from eldenet.navigation.env import ArenaNavVectorEnv
-    from eldenet.navigation.episodes import Randomization
-
-    settings = plain(config)
-    if "policy" in settings and settings["policy"].get("path", "planner") is not None:
-        raise ValueError(
-            "mode=train trains a new driver: remove checkpoint=; policy may be paper_literal or paper_state"
-        )
-
-    env = ArenaNavVectorEnv(
-        config.training.robots, sensor=sensor, arenas=instantiate(config.training.arenas),
-        time_limit=config.time_limit, goal=config.goal,
-        randomization=Randomization(**settings["training"]["randomize"]), **settings["observer"],
-    )  # fmt: skip
-    return DQN(env, instantiate(config.learner)(seed=config.seed))
 
 
 # --- study and report ---------------------------------------------------------------------------------------

@@ -106,10 +106,10 @@ def _run(main: Callable[[S], Any], settings: type[S], config: DictConfig) -> Any
     try:
         require_for_parts(OmegaConf.to_container(config))
         if isinstance(settings, str):
-            return main(config, folder)  # type: ignore[call-arg]
+            return main(config, folder)
         # a command with a run folder, which a sweep numbers: 0, 1, ...
         changes = {} if hydra_config.run.dir == "." else {"output": str(folder)}
-        return main(to_settings(settings, config, **changes))
+        return main(to_settings(config, **changes))
     except USER_ERRORS as error:
         if isinstance(error, BrokenPipeError):
             raise

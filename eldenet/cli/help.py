@@ -6,13 +6,12 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from textwrap import fill
-from typing import Any
+from typing import Any, get_type_hints
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import OverrideParseException
-from omegaconf import OmegaConf
 
 from eldenet.cli.commands import module_of
 from eldenet.compose import choices, command_of, compose_config, config_folder, groups, plain
@@ -46,9 +45,6 @@ def help_template(settings: type | str, about: str) -> str:
     if isinstance(settings, str):
         config_name = settings
         shown = (config_folder() / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
-        if "\n  - mode: " in shown:  # each mode adds settings of its own
-            for file in sorted((config_folder() / "mode").glob("*.yaml")):
-                shown += f"\n\nmode={file.stem}\n{file.read_text().strip()}"
     else:
         config_name, shown = command_of(settings), settings_help(settings)
     listed = "\n".join(
@@ -64,9 +60,25 @@ def help_template(settings: type | str, about: str) -> str:
 
 
 def settings_help(settings: type) -> str:
-    """Return a command's settings, a line each, with their defaults and the comments beside them."""
-    defaults = plain(OmegaConf.structured(settings), resolve=False)
-    defaults |= {name: file for name, file in choices(command_of(settings)).items() if name in defaults}
+    """Return a command's settings, a line each, with their defaults and the comments beside them.
+
+    Settings that its modes add follow under the docstrings of the dataclass's subclasses.
+    """
+    config_name = command_of(settings)
+
+    def shown(part: type) -> str:
+        chosen = [f"mode={part.mode}"] if hasattr(part, "mode") else []
+        defaults = plain(compose_config(config_name, chosen), resolve=False)
+        defaults |= {name: file for name, file in choices(config_name, chosen).items() if "/" not in name}
+        modes: list[type] = part.__subclasses__()
+        added = [f"\n{(mode.__doc__ or '').splitlines()[0]}\n{shown(mode)}" for mode in modes]
+        return "\n".join([*_lines(part, defaults), *added])
+
+    return shown(settings)
+
+
+def _lines(settings: type, defaults: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """Return the lines of a dataclass's own fields; a section that is a dataclass has a line for each."""
     lines: list[str] = []
     comments: list[str] = []
     for line in inspect.getsource(settings).splitlines():
@@ -77,10 +89,14 @@ def settings_help(settings: type) -> str:
         if text.startswith("# "):
             comments.append(text)
         elif field:
-            value = json.dumps(defaults[field["name"]]).strip('"').replace("???", "(required)")
-            lines += [*comments, f"{field['name']}: {value}{field['comment'] or ''}"]
+            name, comment = field["name"], field["comment"] or ""
+            value = json.dumps(defaults.get(name)).strip('"').replace("???", "(required)")
+            bases = reversed(getattr(get_type_hints(settings)[name], "__mro__", ()))
+            sections = [base for base in bases if hasattr(base, "__dataclass_fields__")]
+            inner = [one for part in sections for one in _lines(part, defaults[name], f"{prefix}{name}.")]
+            lines += [*comments, *(inner or [f"{prefix}{name}: {value}{comment}"])]
             comments = []
-    return "\n".join(lines)
+    return lines
 
 
 def advice(config_name: str, words: Sequence[str]) -> str:

@@ -13,14 +13,22 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from eldenet.compose import compose_config
-from eldenet.config import build_navigation
+from eldenet.compose import compose, listed
+from eldenet.configurable import instantiate
+from eldenet.navigate import (
+    NavigateEvaluateSettings,
+    NavigateSettings,
+    arenas_of,
+    episode_settings,
+    load_driver,
+)
 from eldenet.navigation.collision_arcs import STEP
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.evaluation import OUTCOMES, Episode, Policy, as_rows, run_episodes
@@ -230,15 +238,15 @@ def draw_worst(failures: Sequence[Failure], most: int = 12, across: int = 4) -> 
 
 def main(words: Sequence[str]) -> None:
     """Run the episodes of the settings in ``words``; write a table and a picture of the failures."""
-    config = compose_config("navigate", ["mode=evaluate", "output=runs/failures", *words])
-    folder = Path(config.output)
-    setup = build_navigation(config, folder)
-    choose_resources(device="cpu", precision="fp32", threads=setup.threads)
-    sensor = setup.make_sensor()
-    for density in setup.densities:
-        arenas = setup.arenas(density)
-        rows = run_episodes(arenas, setup.make_policy, sensor, setup.episode, robots=setup.robots)
-        failures = trace(arenas, rows, setup.make_policy, sensor, setup.episode)
+    s = compose(NavigateSettings, ["mode=evaluate", "output=runs/failures", *words])
+    assert isinstance(s, NavigateEvaluateSettings)
+    folder, episode = Path(s.output), episode_settings(s)
+    choose_resources(device="cpu", precision="fp32", **s.runtime)
+    load, sensor = partial(load_driver, s), instantiate(s.sensor, "sensor")
+    for density in listed(s.density):
+        arenas = arenas_of(s, density)
+        rows = run_episodes(arenas, load, sensor, episode, robots=s.robots)
+        failures = trace(arenas, rows, load, sensor, episode)
         print(f"{density} obstacles: {len(failures)} of {len(rows)} episodes failed")
         if failures:
             folder.mkdir(parents=True, exist_ok=True)

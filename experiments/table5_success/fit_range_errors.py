@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.compose import compose_config, plain
-from eldenet.config import build_navigation
+from eldenet.compose import compose, listed
+from eldenet.configurable import instantiate
+from eldenet.navigate import NavigateEvaluateSettings, NavigateSettings, arenas_of, episode_settings
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
 from eldenet.navigation.evaluation import Policy
 from eldenet.navigation.observer import SECTORS
@@ -225,19 +226,19 @@ def main() -> None:
     args = parser.parse_intermixed_args()
     check_edges("--edges", args.edges)
     defaults = ["mode=evaluate", "sensor=camera", "split=val", "output=runs/fitted"]
-    config = compose_config("navigate", [*defaults, *args.settings])
-    setup = build_navigation(config, Path(config.output))
-    choose_resources(device="cpu", precision="fp32", threads=setup.threads)
-    sensor = setup.make_sensor()
-    arenas = [arena for density in setup.densities for arena in setup.arenas(density)]
+    s = compose(NavigateSettings, [*defaults, *args.settings])
+    assert isinstance(s, NavigateEvaluateSettings)
+    choose_resources(device="cpu", precision="fp32", **s.runtime)
+    sensor = instantiate(s.sensor, "sensor")
+    arenas = [arena for density in listed(s.density) for arena in arenas_of(s, density)]
     if args.near:
-        scans = scan_near(arenas, sensor, scans=args.scans, seed=setup.episode.seed)
+        scans = scan_near(arenas, sensor, scans=args.scans, seed=s.seed)
     else:
-        scans = scan_along(arenas, sensor, Navigator.load(), setup.episode)
-    note = {"sensor": plain(config.sensor), "density": plain(config.density), "near": args.near}
+        scans = scan_along(arenas, sensor, Navigator.load(), episode_settings(s))
+    note = {"sensor": s.sensor, "density": s.density, "near": args.near}
     note |= {name: environment()[name] for name in ("date", "git", "versions", "command")}
-    errors = fit_errors(scans, args.edges, split=setup.split, arenas=len(arenas), **note)
-    path = setup.folder / "range_errors.json"
+    errors = fit_errors(scans, args.edges, split=s.split, arenas=len(arenas), **note)
+    path = Path(s.output) / "range_errors.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     errors.write(path)
     print(f"errors of the nearest range per sector (natural logarithm), and the bias per column: {path}")

@@ -6,14 +6,16 @@ import subprocess
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
-from eldenet.compose import compose_config, plain
+from eldenet.compose import compose
+from eldenet.navigate import NavigateSettings
 from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.sensors import Ranges, Sensor
-from eldenet.navigation.training import COMPARED, comparable
+from eldenet.navigation.training import comparable
 from eldenet.system.files import read_json
 from eldenet.weights import located
 
@@ -135,8 +137,7 @@ def trained_policy(folder: Path, options: Sequence[str]) -> Path:
     if not note.is_file():
         raise ValueError(f"{folder} holds a policy without training.json, so its settings are unknown")
     made = read_json(note)
-    config = compose_config("navigate", ["mode=train", *options])
-    asked = json.loads(json.dumps(comparable({name: plain(config[name]) for name in COMPARED})))
+    asked = json.loads(json.dumps(comparable(asdict(compose(NavigateSettings, ["mode=train", *options])))))
     there = {"goal": "known"} | comparable(made["config"])
     others = [name for name in asked if there.get(name) != asked[name]]
     if others:

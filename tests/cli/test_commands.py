@@ -57,7 +57,7 @@ def test_a_command_starts_by_its_name_and_finds_code_that_lies_here(tmp_path):
     words = ["train", "loss={_target_: mine.Loss}", "--cfg", "job"]
     assert eldenet(*words, cwd=tmp_path).returncode == 0
     help_text = eldenet("navigate", "mode=wacth", cwd=tmp_path)
-    assert help_text.stderr.startswith("error: mode=wacth: choose one of record")
+    assert help_text.stderr.startswith("error: mode=wacth: choose from evaluate, record, train")
 
 
 def test_a_mistyped_command_gets_the_nearest_one(tmp_path):

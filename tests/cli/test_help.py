@@ -20,7 +20,7 @@ def test_help_shows_the_settings_with_their_comments(command, run_command):
     finished = run_command(module.removeprefix("eldenet."), "--help")
     assert finished.returncode == 0, finished.stderr
     for name in composed(command):
-        assert f"\n{name}: " in finished.stdout
+        assert f"\n{name}: " in finished.stdout or f"\n{name}." in finished.stdout
     assert finished.stdout.startswith(f"python -m {module}: ")
     assert "\nhydra:" not in finished.stdout
     choices = finished.stdout.partition("Choices of its groups:\n")[2]

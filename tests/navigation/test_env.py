@@ -65,11 +65,12 @@ def test_registration_loads_no_simulator():
 
 
 def test_noisy_is_the_same_as_in_the_command():
-    from eldenet.compose import compose_config
+    from eldenet.compose import compose
     from eldenet.configurable import instantiate
+    from eldenet.navigate import NavigateSettings
 
     assert (
-        make_sensor("noisy").errors == instantiate(compose_config("navigate", ["sensor=noisy"]).sensor).errors
+        make_sensor("noisy").errors == instantiate(compose(NavigateSettings, ["sensor=noisy"]).sensor).errors
     )
     with pytest.raises(ValueError, match="give one of ranges, noisy"):
         make_sensor("camera")

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from eldenet.compose import compose_config
+from eldenet.compose import compose
+from eldenet.navigate import NavigateSettings
 from eldenet.navigation.cameras import camera, depth_camera
 from eldenet.navigation.episodes import Episodes, EpisodeSettings
 from eldenet.navigation.noisy_ranges import NoisyRanges
@@ -163,7 +164,7 @@ def test_by_default_the_command_filters_where_single_columns_may_be_wrong():
     assert not any(map(settings.filters, right))
     assert EpisodeSettings(range_filter=True).filters(Ranges())
     for mode in ("record", "evaluate"):
-        assert compose_config("navigate", [f"mode={mode}"]).range_filter is None
+        assert compose(NavigateSettings, [f"mode={mode}"]).range_filter is None
 
 
 def test_the_trained_driver_is_not_slowed_by_one_reading():

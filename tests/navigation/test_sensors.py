@@ -8,12 +8,13 @@ from support.networks import canonical_predictor
 
 from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.boxes import Boxes3D, Detections2D
-from eldenet.compose import compose_config, plain
+from eldenet.compose import compose
 from eldenet.configurable import instantiate
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.geometry import to_corner
 from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
+from eldenet.navigate import NavigateSettings
 from eldenet.navigation.cameras import (
     Camera,
     CameraInstance,
@@ -173,10 +174,10 @@ def test_a_detectors_file_replaces_the_ideal_detector(tmp_path):
     from support.detector_files import FILES, WANTED, save
 
     path = save(tmp_path / "d.onnx", *FILES["yolov9"])
-    config = compose_config(
-        "navigate", ["sensor=objects", "sensor.checkpoint=null", f"sensor.detector={path}"]
+    config = compose(
+        NavigateSettings, ["sensor=objects", "sensor.checkpoint=null", f"sensor.detector={path}"]
     )
-    sensor = instantiate(plain(config.sensor))
+    sensor = instantiate(config.sensor)
     assert sensor.sources["detector"] == (str(path), path)
     scan = instance_of(sensor).scan()
     assert len(scan.boxes) == len(WANTED)  # those of the file, whatever the frame shows
@@ -194,8 +195,8 @@ def test_the_network_of_a_camera_is_told_the_robots_lens():
     "sensor", ["ranges", "objects", "depth_camera"]
 )  # tests of the modes use noisy and camera
 def test_sensors_of_the_configs_scan(sensor):
-    config = compose_config("navigate", [f"sensor={sensor}"])
-    instance = instantiate(plain(config.sensor)).begin(ArenaWorld(ARENA), np.random.default_rng(0))
+    config = compose(NavigateSettings, [f"sensor={sensor}"])
+    instance = instantiate(config.sensor).begin(ArenaWorld(ARENA), np.random.default_rng(0))
     assert instance.scan().ranges.shape == (ROBOT.columns,)
 
 

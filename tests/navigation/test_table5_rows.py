@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from support.table5 import FOLDER, given
 
-from eldenet.compose import compose_config, plain
+from eldenet.compose import compose
+from eldenet.navigate import NavigateSettings
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import TRAINING_VERSION
 from eldenet.navigation.tasks import frozen_arenas
@@ -90,9 +91,10 @@ def test_a_row_depends_on_how_its_method_drives(rows, methods, tmp_path, monkeyp
 
 def test_learnt_rows_are_trainings_of_the_command(methods):
     for method in methods.LEARNED.values():
-        compose_config("navigate", ["mode=train", *method.options])
-    literal = compose_config("navigate", ["mode=train", *methods.LEARNED["paper_literal"].options])
-    assert (literal.observer.memory, literal.learner.n_step, literal.learner.max_grad_norm) == (0, 1, 0)
+        compose(NavigateSettings, ["mode=train", *method.options])
+    literal = compose(NavigateSettings, ["mode=train", *methods.LEARNED["paper_literal"].options])
+    learner = literal.learner
+    assert (literal.observer["memory"], learner["n_step"], learner["max_grad_norm"]) == (0, 1, 0)
 
 
 def test_the_moving_arenas_are_frozen_too():
@@ -112,7 +114,7 @@ def policy_folder(tmp_path: Path, config: dict, version: int = TRAINING_VERSION)
 def test_a_training_of_other_settings_or_version_is_refused(rows, tmp_path):
     row = rows.Row("dqn", 5, 0, "ranges", "kinematic", 2, 1)
     options = given(tmp_path)
-    config = plain(compose_config("navigate", ["mode=train", "seed=1", "output=x"]))
+    config = dataclasses.asdict(compose(NavigateSettings, ["mode=train", "seed=1", "output=x"]))
     folder = policy_folder(tmp_path, config)
     assert rows.policy_file(row, options) == folder / "policy.safetensors"
     policy_folder(tmp_path, config | {"learner": config["learner"] | {"total_timesteps": 7}})

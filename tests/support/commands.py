@@ -28,7 +28,8 @@ PRELOADED = (
     "eldenet.backbones.pplcnet", "eldenet.data.folder", "eldenet.data.kitti", "eldenet.data.nyu",
     "eldenet.data.rooms", "eldenet.data.transforms", "eldenet.decoders.fast_upconv",
     "eldenet.evaluation.metrics",
-    "eldenet.navigation.env", "eldenet.navigation.modes", "eldenet.results.score", "eldenet.results.tables",
+    "eldenet.navigation.env", "eldenet.navigation.visualization",
+    "eldenet.results.score", "eldenet.results.tables",
     "eldenet.training.trainer", "eldenet.zoo",
 )  # fmt: skip
 
