@@ -32,7 +32,7 @@ VEHICLE_HALF, VEHICLE_HEIGHT = (0.6, 0.35), 0.6  # [m], as in drawn arenas
 
 
 def read_arena(path: str | Path) -> Arena:
-    """Read an arena from a YAML file; ``configs/mode/record.yaml`` and docs/navigation.md show its keys.
+    """Read an arena from a YAML file; docs/navigation.md shows its keys.
 
     Raises:
         ValueError: an unknown key, a value out of its limits, or a start or way-point that lies outside, too
