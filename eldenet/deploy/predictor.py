@@ -99,8 +99,6 @@ class DepthPredictor:
             input_size = size_of_frames(model.info)
         if input_size is not None and (np.shape(input_size) != (2,) or min(input_size) < 1):
             raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
-        if max_side is None or isinstance(max_side, str) or not max_side >= 1:
-            raise ValueError(f"max_side={max_side!r}: give a number of pixels above 0")
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.max_side = max_side
         self.steady, self.sharp = steady, sharp
@@ -170,10 +168,16 @@ class DepthPredictor:
             ValueError: the frame has another shape or type, its camera is given twice or out of range, or the
                 network's depth is not finite.
         """
-        if not isinstance(frame, np.ndarray):
-            raise ValueError(f"frame is a {type(frame).__name__}: give the picture, (H, W, 3) uint8 RGB")
-        if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8 or 0 in frame.shape:
-            raise ValueError(f"frame is {frame.shape} {frame.dtype}, (H, W, 3) uint8 RGB is needed")
+        of_array = isinstance(frame, np.ndarray)
+        if (
+            not of_array
+            or frame.ndim != 3
+            or frame.shape[2] != 3
+            or frame.dtype != np.uint8
+            or 0 in frame.shape
+        ):
+            given = f"{frame.shape} {frame.dtype}" if of_array else type(frame).__name__
+            raise ValueError(f"frame is {given}: give the picture, (H, W, 3) uint8 RGB")
         size = (frame.shape[0], frame.shape[1])
         focal = focal_length(intrinsics, fov, size[1], focal)
         picture, (depth, *sigma), scale = self._maps(frame)

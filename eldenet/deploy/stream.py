@@ -67,7 +67,7 @@ class DepthStream:
             and if it is complete.
 
     Raises:
-        ValueError: the source cannot be opened, ``queue_size`` is below 1, or ``timeout`` is not above 0.
+        ValueError: the source cannot be opened.
     """
 
     def __init__(
@@ -80,12 +80,8 @@ class DepthStream:
         timeout: float | None = 10.0,
         intrinsics: Sequence[float] | np.ndarray | None = None,
     ) -> None:
-        if queue_size < 1:
-            raise ValueError(f"queue_size={queue_size}: give 1 or more")
-        if timeout is not None and not 0 < timeout <= threading.TIMEOUT_MAX:
-            raise ValueError(f"timeout={timeout}: give seconds above 0, or None to wait forever")
         camera = {} if intrinsics is None else {"intrinsics": intrinsics}
-        self.predictor, self.queue_size = functools.partial(predictor, **camera), queue_size
+        self.predictor, self.queue_size = functools.partial(predictor, **camera), max(1, queue_size)
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
         self.ended_too_soon = ""
         self._fault: Callable[[int], str] = lambda frames: ""
@@ -186,14 +182,9 @@ class DepthStream:
     def _open_file(self, name: str) -> Generator[TimedFrame, None, None]:
         from eldenet.deploy.video_files import VideoFile
 
-        if not Path(name).exists():
-            raise ValueError(f"source={name} does not exist: give a video, or a camera such as camera:0")
         video = VideoFile(Path(name))
-        self.frames_per_second, self.announced, self._fault = (
-            video.frames_per_second,
-            video.announced,
-            video.fault,
-        )
+        self.frames_per_second, self.announced = video.frames_per_second, video.announced
+        self._fault = video.fault
         return video.frames()
 
     def _open_live(self, name: str) -> Generator[TimedFrame, None, None]:

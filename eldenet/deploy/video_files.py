@@ -13,7 +13,7 @@ from eldenet.data.array_files import check_pixels
 from eldenet.data.file_checks import FORMATS
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.geometry import resize_image
-from eldenet.system.errors import writing
+from eldenet.system.errors import reading, writing
 from eldenet.system.extras import require
 from eldenet.system.files import part_path, remove_unfinished
 
@@ -79,15 +79,10 @@ class VideoFile:
     def __init__(self, path: Path) -> None:
         import av
 
-        try:
+        with reading(path, "video", "fetch it again, or convert it to .mp4"):
             self._container = av.open(str(path), metadata_errors="replace")
             self._stream = self._container.streams.video[0]
             size = self._stream.height, self._stream.width
-        except (av.error.FFmpegError, IndexError, AttributeError) as error:  # no size: an unknown codec
-            raise ValueError(
-                f"{path} holds no frame that can be read: it is truncated, damaged or not a video"
-            ) from error
-        self._path = path
         check_pixels(size, path)
         self._stream.thread_type = "AUTO"
         rate = float(self._stream.guessed_rate or 0)
@@ -114,7 +109,6 @@ class VideoFile:
                 skipped += max(0.0, time - previous - usual)
                 time = previous + usual
             previous = time
-            check_pixels((frame.height, frame.width), self._path)
             picture = frame.to_ndarray(format="rgb24", interpolation="BICUBIC")
             yield np.ascontiguousarray(np.rot90(picture, frame.rotation // 90)), time
 

@@ -22,9 +22,15 @@ class DiskError(OSError):
 
 @contextmanager
 def reading(source: object, kind: str, advice: str = AGAIN) -> Iterator[None]:
-    """Turn every error of a reader, which may be of any type, into a ``ValueError`` that names the file."""
+    """Turn every error of a reader, which may be of any type, into a ``ValueError`` that names the file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
     try:
         yield
+    except FileNotFoundError:
+        raise
     except Exception as error:
         reason = f"{type(error).__name__}: {first_line(error)}"[:200]
         raise ValueError(f"{source} is truncated or not a valid {kind} ({reason}): {advice}") from error
@@ -53,8 +59,8 @@ def writing(folder: Path, what: str) -> Iterator[None]:
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of an error's message."""
-    return (str(error).splitlines() or [""])[0]
+    """Return the first line of an error's message, without its number and file."""
+    return ((getattr(error, "strerror", None) or str(error)).splitlines() or [""])[0]
 
 
 def line_of(error: BaseException) -> str:

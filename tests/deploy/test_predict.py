@@ -227,7 +227,7 @@ def test_wrong_sources_are_refused(model_folder: Path, tmp_path: Path) -> None:
         ("nothing.jpg", "does not exist"),
         ("empty", "holds no pictures"),
         ("text.png", r"text\.png .*is not a JPEG"),
-        ("text.mp4", r"text\.mp4 holds no frame"),
+        ("text.mp4", r"text\.mp4 is truncated or not a valid video"),
     ):
         with pytest.raises((ValueError, FileNotFoundError), match=message):
             run(model_folder, tmp_path / source, tmp_path / "out")

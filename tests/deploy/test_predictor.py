@@ -64,14 +64,14 @@ def test_predictor_without_a_training_size_limits_the_longer_side() -> None:
 
 @pytest.mark.parametrize("frame", [photo()[..., 0], photo().astype(np.float32), photo()[:0]])
 def test_predictor_refuses_other_shapes_and_types(model: DepthNet, frame: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"\(H, W, 3\) uint8 RGB is needed"):
+    with pytest.raises(ValueError, match=r"give the picture, \(H, W, 3\) uint8 RGB"):
         DepthPredictor(model)(frame)
 
 
 def test_names_in_place_of_networks_and_pictures_are_refused(model: DepthNet) -> None:
     with pytest.raises(ValueError, match=r"model='a.jpg' is a name, not a network: give eldenet.load"):
         DepthPredictor("a.jpg")
-    with pytest.raises(ValueError, match=r"frame is a str: give the picture, \(H, W, 3\) uint8 RGB"):
+    with pytest.raises(ValueError, match=r"frame is str: give the picture, \(H, W, 3\) uint8 RGB"):
         DepthPredictor(model)("a.jpg")
 
 
@@ -80,11 +80,6 @@ def test_predictor_refuses_wrong_sizes_and_infinite_depth(model: DepthNet) -> No
         DepthPredictor(model, (0, 32))
     with pytest.raises(ValueError, match=r"input_size=128: give \[height, width\] in pixels"):
         DepthPredictor(model, 128)  # type: ignore[arg-type]
-    for side in (0, "640", None, float("nan")):
-        with pytest.raises(ValueError, match=f"max_side={side!r}: give a number of pixels above 0"):
-            DepthPredictor(model, max_side=side)  # type: ignore[arg-type]
-    assert DepthPredictor(model, max_side=np.int64(640)).max_side == 640  # type: ignore[arg-type]
-
     damaged = copy.deepcopy(model)
     next(damaged.network.parameters()).data.fill_(math.nan)
     with pytest.raises(ValueError, match="not finite"):

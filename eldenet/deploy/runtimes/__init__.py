@@ -100,8 +100,7 @@ def load(
     if size is None:
         raise ValueError(
             f"{runtime} needs a size, but the model states none: give size=(height, width) or, on the "
-            "command "
-            "line, input_size=[height,width]"
+            "command line, input_size=[height,width]"
         )
     if precision == "int8":
         raise ValueError("int8 needs calibration pictures: export a file (eldenet export)")
@@ -130,9 +129,7 @@ def fastest(
     first = next(iter(able.values()))
     if len(able) == 1:
         return first
-    height, width = first.camera_size or first.info.get("input_size", (224, 224))
-    batch = first.fixed_batch or 1
-    shape = (batch, height, width, 3) if first.takes_frames else (batch, 3, height, width)
+    shape = [side or usual for side, usual in zip(first.shape, (1, 3, 224, 224), strict=True)]
     image = np.zeros(shape, np.uint8 if first.takes_frames else np.float32)
     times = time_interleaved(
         {name: lambda network=network: network.run(image) for name, network in able.items()},  # type: ignore[misc]
