@@ -173,7 +173,7 @@ class Results:
         """Return the pixels that pictures show in pale colors: none without the format "sigma"."""
         return estimate.unsure if "sigma" in self.formats else None
 
-    def say(self, log: "RunLog", what: str, rate: float, stop: "GracefulStop") -> None:
+    def summarize(self, log: "RunLog", what: str, rate: float, stop: "GracefulStop") -> None:
         """Print what was written, where and how fast, and what was not."""
         if stop and not self.images:
             log.say(f"stopped by {stop} before the first result: nothing was written")

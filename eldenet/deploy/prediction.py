@@ -269,7 +269,7 @@ def predict_pictures(
     if pictures and not results.images and not stop:
         raise ValueError(f"none of {len(pictures)} pictures could be read; the first: {results.skipped[0]}")
     of = f" of {len(pictures)}" if stop else ""
-    results.say(log, f"{results.images}{of} picture{'s' * (results.images != 1)}", rate, stop)
+    results.summarize(log, f"{results.images}{of} picture{'s' * (results.images != 1)}", rate, stop)
 
 
 def predict_video(
@@ -327,7 +327,7 @@ def predict_video(
                 )
             speed, too_soon = bar.rate, stream.ended_too_soon
     origin = f" of {Path(shown).name}" + (f" ({stream.dropped} dropped)" if stream.drop else "")
-    results.say(log, f"{results.images} frame{'s' * (results.images != 1)}{origin}", speed, stop)
+    results.summarize(log, f"{results.images} frame{'s' * (results.images != 1)}{origin}", speed, stop)
     return f"{shown} {too_soon}" if too_soon and not stop and results.images != frames else ""
 
 

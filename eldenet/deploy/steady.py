@@ -32,7 +32,7 @@ class SteadyFilter:
     same, the new depth is mixed with the filtered one of the last frame; elsewhere the new depth stays. This
     happens on small maps, and the depth gets the enlarged correction, so its details stay sharp. The trend of
     the scale is part of the prediction, so depth does not lag while the camera moves. The filter sees no
-    later frame. A cut, or any picture of another scene, starts it anew: then depth comes back unchanged.
+    later frame. A cut, or any picture of another scene, resets it: then depth comes back unchanged.
 
     A filter belongs to one video: give each video, and each thread, its own.
     """

@@ -84,7 +84,7 @@ class DepthStream:
         self.predictor, self.queue_size = functools.partial(predictor, **camera), max(1, queue_size)
         self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
         self.ended_too_soon = ""
-        self._fault: Callable[[int], str] = lambda frames: ""
+        self._why_incomplete: Callable[[int], str] = lambda frames: ""
         live = isinstance(source, str | Path) and is_live(source)
         self.drop = live if drop is None else drop
         self._by_clock = live  # a file is not read at the pace at which it plays
@@ -157,7 +157,7 @@ class DepthStream:
                     break
                 count += 1
             else:
-                self.ended_too_soon = self._fault(count)
+                self.ended_too_soon = self._why_incomplete(count)
         except BaseException as error:  # raised where the stream is read
             self._error = error
         finally:
@@ -184,7 +184,7 @@ class DepthStream:
 
         video = VideoFile(Path(name))
         self.frames_per_second, self.announced = video.frames_per_second, video.announced
-        self._fault = video.fault
+        self._why_incomplete = video.why_incomplete
         return video.frames()
 
     def _open_live(self, name: str) -> Generator[TimedFrame, None, None]:
@@ -204,14 +204,14 @@ class DepthStream:
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0  # some state the clock's 90000
         self.announced = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))  # an address may be of a file
 
-        def fault(frames: int) -> str:
+        def why_incomplete(frames: int) -> str:
             if not self.announced:
                 return f"stopped after {frames} frames: the camera or its connection was lost"
             if frames + SLACK * self.frames_per_second < self.announced:
                 return f"stopped early: {frames} of {self.announced} frames could be read"
             return ""
 
-        self._fault = fault
+        self._why_incomplete = why_incomplete
         return _frames_of(capture)
 
 

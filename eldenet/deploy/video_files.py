@@ -132,10 +132,10 @@ class VideoFile:
             except av.error.FFmpegError:
                 self._broken += 1
 
-    def fault(self, frames: int) -> str:
+    def why_incomplete(self, frames: int) -> str:
         """Return what is wrong with a file that yielded ``frames`` frames; empty if it is complete.
 
-        Fewer frames than announced are no fault by themselves: the index may count frames that were trimmed,
+        Fewer frames than announced are no damage by themselves: the index may count frames that were trimmed,
         and many formats state a length alone.
         """
         slack = max(self._slack, 1.5 / self.frames_per_second)

@@ -155,8 +155,8 @@ def test_rows_of_other_settings_do_not_count(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"processor": "a board's"}, "(processor a board's, here "),
-        ({"versions": {"torch": "1.0"}}, "torch 1.0, here "),
+        ({"processor": "a board's"}, "(processor a board's, now "),
+        ({"versions": {"torch": "1.0"}}, "torch 1.0, now "),
         ({"accelerator": "another card"}, None),  # the rows are a processor's
     ],
 )

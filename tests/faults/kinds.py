@@ -180,9 +180,9 @@ def _read_video(path: Path) -> Any:
 
     video = VideoFile(path)
     found = list(video.frames())
-    fault = video.fault(len(found)) or ("" if found else "holds no frame that can be read")
-    if fault:
-        raise ValueError(f"{path} {fault}")
+    reason = video.why_incomplete(len(found)) or ("" if found else "holds no frame that can be read")
+    if reason:
+        raise ValueError(f"{path} {reason}")
     return found
 
 

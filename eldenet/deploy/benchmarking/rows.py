@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,22 +30,14 @@ def network_digest(model: "DepthNet") -> str:
 def read_rows(
     folder: Path, wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True
 ) -> dict[tuple[Any, ...], dict[str, Any]]:
-    """Stored rows by key, the newest wanted one of each; lines that a kill cut short are skipped.
-
-    Raises:
-        ValueError: a line is JSON, but no row of a benchmark.
-    """
+    """Stored rows by key, the newest wanted one of each; a damaged line is skipped and measured again."""
     rows: dict[tuple[Any, ...], dict[str, Any]] = {}
     path = folder / ROWS_FILE
-    if path.is_file():
-        for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
-            try:
-                row = parse_json(line.decode(), path)
-            except ValueError:
-                continue
-            where = f"{path}, line {number} (remove that line, and it is measured again)"
-            check_entries(where, row, *ROW)
-            check_figures(where, {name: row[name] for name in FIGURES})
+    for line in path.read_bytes().splitlines() if path.is_file() else ():
+        with suppress(ValueError, TypeError):
+            row = parse_json(line.decode(), path)
+            check_entries(path, row, *ROW)
+            check_figures(path, {name: row[name] for name in FIGURES})
             if wanted(row):
                 rows[tuple(row["key"])] = row
     return rows
@@ -69,13 +62,13 @@ def machine() -> tuple[dict[str, Any], str]:
     return {"versions": {name: version_of(name) for name in PACKAGES}, **shared}, facts["command"]
 
 
-def other_machine(row: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """Differences between the machine of a stored row and this one, in words; "" for the same machine.
+def other_machine(row: Mapping[str, Any], this: Mapping[str, Any]) -> str:
+    """Return how the machine of a stored row differs from ``this`` one; "" for the same machine.
 
     The accelerator counts unless the row ran on the CPU.
     """
     names = ["processor", "cores"] if row["device"] == "cpu" else ["processor", "cores", "accelerator"]
-    pairs = [(name, row.get(name), here[name]) for name in names]
-    stored = row.get("versions") or {}
-    pairs += [(name, stored.get(name), version) for name, version in here["versions"].items()]
-    return ", ".join(f"{name} {there}, here {ours}" for name, there, ours in pairs if there != ours)
+    pairs = [(name, row.get(name), this[name]) for name in names]
+    versions = row.get("versions") or {}
+    pairs += [(name, versions.get(name), version) for name, version in this["versions"].items()]
+    return ", ".join(f"{name} {old}, now {current}" for name, stored, current in pairs if stored != current)

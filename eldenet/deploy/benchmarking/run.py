@@ -103,38 +103,45 @@ def benchmark(setup: BenchmarkSetup) -> list[dict[str, Any]]:
     cases = list_cases(setup, list(found.models), found.sizes)
     accuracies = read_accuracies(setup.accuracies, setup.accuracy, found.models)
     prints = {name: network_digest(model) for name, model in found.models.items()}
-    here, command = machine()
+    machine_now, command = machine()
 
     def is_alike(row: Mapping[str, Any]) -> bool:
         return measured_alike(row, setup, prints.get(row["model"]))
 
     def counts(row: Mapping[str, Any]) -> bool:
-        return is_alike(row) and not other_machine(row, here)
+        return is_alike(row) and not other_machine(row, machine_now)
 
-    there = {} if setup.overwrite else read_rows(setup.output, counts)
+    earlier = {} if setup.overwrite else read_rows(setup.output, counts)
     wanted = {case.key for case in cases}
-    elsewhere = [row for key, row in read_rows(setup.output, is_alike).items() if key in wanted - set(there)]
+    elsewhere = [
+        row for key, row in read_rows(setup.output, is_alike).items() if key in wanted - set(earlier)
+    ]
     if elsewhere and not setup.overwrite:
+        difference = other_machine(elsewhere[0], machine_now)
         log.say(
-            f"{len(elsewhere)} rows come from another machine ({other_machine(elsewhere[0], here)}) and are "
-            "measured again: all rows of a table come from one machine"
+            f"{len(elsewhere)} rows come from another machine ({difference}) and are measured again: all rows "
+            "of a table come from one machine"
         )
     # rows of a study compare across inputs, so all of them take turns
     by_group = itertools.groupby(cases, key=lambda case: case.group)
     groups = [cases] if found.sizes else [list(group) for _, group in by_group]
     for number, group in enumerate(groups, 1):
         title = f"[{number}/{len(groups)}] {describe_group(group)}"
-        if all(case.key in there for case in group):
+        if all(case.key in earlier for case in group):
             log.say(f"{title}: measured before (overwrite=true measures again)")
             continue
         log.say(f"{title}: {len(group)} rows")
         rows = measured(group, found.models, prints, setup)
         for row in rows:
-            row |= {**here, "command": command, "date": datetime.now(UTC).isoformat(timespec="seconds")}
+            row |= {
+                **machine_now,
+                "command": command,
+                "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            }
             if row["failed"]:
                 log.say(f"  {row['model']}, {row['precision']}: {row['failed']}")
         # rows measured before stay, though the whole group took turns; a study's are all of one session
-        append_rows(setup.output, [row for row in rows if found.sizes or tuple(row["key"]) not in there])
+        append_rows(setup.output, [row for row in rows if found.sizes or tuple(row["key"]) not in earlier])
     rows = [row for key, row in read_rows(setup.output, counts).items() if key in wanted]
     write_results(rows, accuracies, setup.output, log)
     if found.finish is not None:
