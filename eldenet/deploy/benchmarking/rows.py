@@ -71,4 +71,4 @@ def other_machine(row: Mapping[str, Any], this: Mapping[str, Any]) -> str:
     pairs = [(name, row.get(name), this[name]) for name in names]
     versions = row.get("versions") or {}
     pairs += [(name, versions.get(name), version) for name, version in this["versions"].items()]
-    return ", ".join(f"{name} {old}, now {current}" for name, stored, current in pairs if stored != current)
+    return ", ".join(f"{name} {old}, now {new}" for name, old, new in pairs if old != new)

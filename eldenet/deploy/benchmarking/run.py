@@ -119,8 +119,8 @@ def benchmark(setup: BenchmarkSetup) -> list[dict[str, Any]]:
     if elsewhere and not setup.overwrite:
         difference = other_machine(elsewhere[0], machine_now)
         log.say(
-            f"{len(elsewhere)} rows come from another machine ({difference}) and are measured again: all rows "
-            "of a table come from one machine"
+            f"{len(elsewhere)} rows come from another machine ({difference}) and are measured again: all "
+            "rows of a table come from one machine"
         )
     # rows of a study compare across inputs, so all of them take turns
     by_group = itertools.groupby(cases, key=lambda case: case.group)
