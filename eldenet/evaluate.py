@@ -46,6 +46,8 @@ class EvaluateSettings:
     output: str = "runs/evaluate-${data.name}-${now:%Y%m%d-%H%M%S}"  # folder of run.json
 
     def __post_init__(self) -> None:
+        if self.batch_size < 1:
+            raise ValueError(f"batch_size={self.batch_size}: give a whole number, 1 or more")
         size = self.input_size
         pair = isinstance(size, list) and [type(side) for side in size] == [int, int] and min(size) >= 1
         if size not in ("model", "data") and not pair:

@@ -47,7 +47,10 @@ def sole_writer(folder: Path) -> Iterator[None]:
         ) from None
     with lock:
         path.write_text(f"process {os.getpid()} on {platform.node()}")
-        yield
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)  # whoever opened it in between sees that it is gone, and tries again
 
 
 @contextmanager

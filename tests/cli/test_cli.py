@@ -90,7 +90,7 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
             "(data.val...)",
         ),
         ("evaluate", ["checkpoint=nowhere"], "unknown model 'nowhere'"),
-        ("evaluate", ["checkpoint=eldenet_s", "batch_size=0"], "batch_size=0: give whole numbers of 1 or"),
+        ("evaluate", ["checkpoint=eldenet_s", "batch_size=0"], "batch_size=0: give a whole number, 1 or"),
         (
             "evaluate",
             ["checkpoint=eldenet_s", "input_size=100"],
@@ -247,6 +247,6 @@ def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
     assert run["metrics"]["images"] == 8
     # both halves of the validation were scored with the weights and statistics that were saved
     data = compose(TrainSettings, [*TINY[:2], f"data.root={cache}"]).data
-    val_set = instantiate(data.val, frames=7, resize_depth=False)
-    saved = evaluate(eldenet.load(tmp_path / "run"), val_set, instantiate(data.protocol)).metrics
+    val_set = instantiate(data["val"], frames=7, resize_depth=False)
+    saved = evaluate(eldenet.load(tmp_path / "run"), val_set, instantiate(data["protocol"])).metrics
     assert run["training"]["best_value"] == pytest.approx(saved["abs_rel"], rel=1e-6)

@@ -121,7 +121,8 @@ def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkey
         (f"{tmp_path}/nowhere", r"is not a folder: set data\.\w*root(.|\n)*Expected tree"),
         (str(tmp_path), r"(has no|none of) (.|\n)*Expected tree|no frames"),
     ):
-        config.data["root"] = root
+        for name in {"root", "selection_root"} & config.data["train"].keys():
+            config.data["train"][name] = root
         with pytest.raises((FileNotFoundError, ValueError), match=message):
             open_split(config.data, "train", protocol)
     config.data["train"]["split"] = "testing"
@@ -237,8 +238,8 @@ def test_protocol_with_frame_geometry_meets_whole_frames(tmp_path: Path) -> None
 
 def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
     layouts.folder(tmp_path)
-    config = compose(TrainSettings, ["data=folder", f"data.root={tmp_path}", "data.max_depth=5"])
-    config.data["ground_truth"] = "inpainted"
+    words = ["data=folder", f"data.root={tmp_path}", "data.max_depth=5", "data.ground_truth=inpainted"]
+    config = compose(TrainSettings, words)
     protocol = chosen_protocol(config.data, config.protocol)
     assert (protocol.max_depth, protocol.ground_truth) == (5.0, "inpainted")
     assert plain(config.model["head"])["max_depth"] == 5
