@@ -456,7 +456,7 @@ def _read_latencies(root: Path) -> Any:
 
     found = Latencies.read(read_study(root, training_composition()))
     assert found is not None
-    return found.of("small"), found.title, found.line, json.loads(found.lines["small"]["network"])
+    return found.of("small"), found.title, found.line, found.lines["small"]["network"]
 
 
 @cache

@@ -1,16 +1,17 @@
 """Latencies of a study's rows: the networks that a benchmark measures, and the file that it writes."""
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet.results.fingerprints import differences
+from eldenet.results.run_record import check_figures
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import Study, StudyRow
-from eldenet.system.files import parse_json, read_table, write_rows
+from eldenet.system.errors import reading
+from eldenet.system.files import read_table, write_rows
 
 if TYPE_CHECKING:
     from eldenet.model import DepthNet
@@ -99,26 +100,11 @@ def _text(fact: Any) -> Any:
     return ", ".join(f"{name} {value}" for name, value in fact.items()) if isinstance(fact, Mapping) else fact
 
 
-def _check_line(path: Path, line: Mapping[str, str]) -> None:
-    """Raise ValueError unless the figures of a line are numbers, and its network a mapping."""
-    try:
-        figures = [float(line[name]) for name in ("latency_ms_p50", *COUNTED)] + [int(line["height"])]
-        fits = all(map(math.isfinite, figures)) and min(figures) > 0
-        fits = fits and isinstance(parse_json(line["network"], "network"), dict) and int(line["width"]) > 0
-    except ValueError:
-        fits = False
-    if not fits:
-        raise ValueError(
-            f"{path}: the line of {line['row']!r} is damaged: restore the file, or measure again "
-            "(eldenet benchmark study=...)"
-        )
-
-
 @dataclass(frozen=True)
 class Latencies:
     """The lines of a study's benchmark file by row."""
 
-    lines: Mapping[str, Mapping[str, str]]
+    lines: Mapping[str, Mapping[str, Any]]
 
     @classmethod
     def read(cls, study: Study) -> "Latencies | None":
@@ -134,9 +120,11 @@ class Latencies:
         if not path.is_file():
             raise FileNotFoundError(f"{path} does not exist, but sweep.yaml names it as latency")
         needed = ("row", "latency_ms_p50", *COLUMNS, "processor", "date", "command", "network")
-        lines = {line["row"]: line for line in read_table(path, needed)} if path.stat().st_size else {}
-        for line in lines.values():
-            _check_line(path, line)
+        table = read_table(path, needed) if path.stat().st_size else []
+        with reading(path, "benchmark of a study", "restore it, or measure again"):
+            lines = {line["row"]: {**line, "network": json.loads(line["network"])} for line in table}
+            for line in lines.values():
+                check_figures(path, {name: float(line[name]) for name in ("latency_ms_p50", *COUNTED)})
         if not lines:
             raise ValueError(f"{path} has no line: eldenet benchmark study={study.folder} writes it")
         for name in SAME:
@@ -154,14 +142,11 @@ class Latencies:
         line = self.lines.get(row.name)
         if line is None:
             return
-        different = [
-            f"{name}={line[name]} (there {run['cost'][name]})"
-            for name in COUNTED
-            if not math.isclose(float(line[name]), run["cost"][name], rel_tol=1e-6)
-        ]
         given = frozenset(setting.rpartition(".")[2] for setting in row.given.values())
-        network = parse_json(line["network"], "network")
-        different += differences(network, run["config"]["model"], "model", ignored=given)
+        measured = {name: f"{float(line[name]):.6g}" for name in COUNTED}
+        measured |= {"model": line["network"]}
+        trained = {name: f"{run['cost'][name]:.6g}" for name in COUNTED} | {"model": run["config"]["model"]}
+        different = differences(measured, trained, ignored=given)
         if different:
             raise ValueError(
                 f"the latency of {row.name} was measured on another network than its runs have: "

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from eldenet.configurable import check_arguments
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.results.packed_runs import RUNS, read_records
 from eldenet.system.files import read_yaml
@@ -14,6 +15,7 @@ from eldenet.system.files import read_yaml
 PLAN = "sweep.yaml"
 SHARED = ("seeds", "block", "seen", "learning_rate")  # defaults of all rows, given beside `rows:`
 RATE = "optimizer.lr"  # the setting that `learning_rate` and `learning_rates` set
+PLOTS, EPOCHS = ("pareto", "differences"), ("chosen", "last")
 # a setting that must be given -> the table's "... not given"; "data" for any other
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
 
@@ -169,31 +171,38 @@ def read_study(folder: str | Path, composition: Composition, _readers: tuple[str
         raise ValueError(f"{path} has no rows: it needs 'rows: {{name: {{overrides: [...]}}}}'")
     described = content.pop("rows")
     shared = {name: content.pop(name) for name in SHARED if name in content}
-    of_study = {entry.name for entry in fields(Study)} - {"folder", "rows", "composition"}
-    of_row = {entry.name for entry in fields(StudyRow)} - {"name", "owner"}
-    entries = _checked(path, "", content, of_study, also=("rows", *SHARED))
     rows = []
     for name, entry in described.items():
+        where = f"{path}: row {name}"
         if not _NAME.fullmatch(str(name)):  # it names folders, and stands in overrides
-            raise ValueError(f"{path}: row {str(name)!r}: give a name of letters, digits and ._+-")
+            raise ValueError(f"{where}: give a name of letters, digits and ._+-")
         if not isinstance(entry, dict | None):
-            raise ValueError(f"{path}: row {name}: give a mapping, such as {{overrides: [model=eldenet]}}")
+            raise ValueError(f"{where}: give a mapping, such as {{overrides: [model=eldenet]}}")
         if entry and "from" in entry:
             rows.append(_taken_row(path, str(name), entry, composition, _readers))
         else:
-            own = _checked(path, f"row {name}: ", shared | (entry or {}), of_row, also=("from",))
+            own = _checked(where, shared | (entry or {}), StudyRow, without=("name", "owner"))
             rows.append(StudyRow(str(name), **own))
-    study = Study(folder, tuple(rows), composition, **entries)
-    for row in study.rows:
-        _refuse_second_rate(path, study, row)
-    unknown = [name for name in study.reference if name not in described]
-    if unknown:
-        raise ValueError(f"{path}: reference={unknown}: its rows are {', '.join(map(str, described))}")
+    own = _checked(str(path), content, Study, without=("folder", "rows", "composition"))
+    study = Study(folder, tuple(rows), composition, **own)
+    for name, values, allowed in (
+        ("reference", study.reference, tuple(map(str, described))),
+        ("columns", study.columns, METRICS),
+        ("compare", (study.compare,), METRICS),
+        ("plots", study.plots, PLOTS),
+        ("epoch", (study.epoch,), EPOCHS),
+    ):
+        if unknown := [value for value in values if value not in allowed]:
+            raise ValueError(f"{path}: {name}={unknown}: choose from {', '.join(allowed)}")
     if study.epoch == "last" and study.reference:
         raise ValueError(
             f"{path}: reference compares image by image, and epoch: last has no metrics of single images: "
             "remove one of them"
         )
+    for row in study.rows:
+        if not row.seeds or len(set(row.seeds)) < len(row.seeds):
+            raise ValueError(f"{path}: row {row.name}: seeds={list(row.seeds)}: give different seeds: [0, 1]")
+        _refuse_second_rate(path, study, row)
     return study
 
 
@@ -205,11 +214,12 @@ def _taken_row(
     path: Path, name: str, entry: Mapping[str, Any], composition: Composition, readers: tuple[str, ...]
 ) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
-    _checked(path, f"row {name}, taken from another study: ", entry, {"from", "block"})
+    if set(entry) - {"from", "block"}:
+        raise ValueError(f"{path}: row {name}, taken from another study: it may have a block, nothing else")
     readers = (*readers, _name(path.parent))
     if entry["from"] in readers:
         raise ValueError(f"{path}: row {name} refers to itself: {' -> '.join((*readers, entry['from']))}")
-    owner = read_study(os.path.normpath(path.parent / ".." / entry["from"]), composition, readers)
+    owner = read_study(os.path.normpath(path.parent / ".." / str(entry["from"])), composition, readers)
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=owner.owner_of(row))
 
@@ -219,72 +229,25 @@ def _refuse_second_rate(path: Path, study: Study, row: StudyRow) -> None:
     searched = study.searches_rate(row)
     if row.owner is not None or not (searched or row.learning_rate is not None):
         return
-    texts = study.overrides_of(row, trial=searched)
-    written = next((text for text in texts if text.lstrip("+").startswith(f"{RATE}=")), None)
-    if written is not None:
-        instead = "the search of learning_rates" if searched else f"learning_rate: {row.learning_rate:g}"
-        raise ValueError(
-            f"{path}: row {row.name}: {instead} replaces the override {written}: write learning_rate: "
-            f"{written.partition('=')[2]} as an entry of the row, which is then not searched, or remove the "
-            "override"
-        )
+    for text in study.overrides_of(row, trial=searched):
+        if text.lstrip("+").startswith(f"{RATE}="):
+            instead = "the search of learning_rates" if searched else f"learning_rate: {row.learning_rate:g}"
+            raise ValueError(
+                f"{path}: row {row.name}: {instead} replaces the override {text}: write learning_rate: "
+                f"{text.partition('=')[2]} as an entry of the row, which is then not searched, or remove the "
+                "override"
+            )
 
 
 def _checked(
-    path: Path, where: str, entries: Mapping[str, Any], allowed: set[str], also: Sequence[str] = ()
+    where: str, entries: Mapping[str, Any], target: type, *, without: Sequence[str]
 ) -> dict[str, Any]:
-    """Entries of the plan with tuples for lists; refuse what would fail later or have no effect."""
-    unknown = sorted(set(entries) - allowed)
-    if unknown:
-        known = ", ".join(sorted({*allowed, *also}))
-        raise ValueError(f"{path}: {where}unknown entries {unknown}: choose from {known}")
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()}
-    for name, value in values.items():
-        fits, words = _KINDS.get(name, (lambda _: True, ""))
-        if not fits(value):
-            raise ValueError(f"{path}: {where}{name}={value!r}: give {words}")
-    return values
-
-
-def _overrides(value: Any) -> bool:
-    """Whether a value is overrides of a training, which leave Hydra itself as it is."""
-    return _all(value, str) and not any(text.lstrip("+~").startswith("hydra") for text in value)
-
-
-def _line(value: Any) -> bool:
-    return isinstance(value, str) and value.isprintable() and bool(value)
-
-
-def _all(value: Any, kind: type) -> bool:
-    return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
-
-
-def _rates(value: Any) -> bool:
-    return _all(value, float) and all(rate > 0 for rate in value)
+    """Entries of the plan with tuples for lists; refuse names and types that ``target`` does not have."""
+    known = {entry.name for entry in fields(target)} - {*without}
+    if unknown := sorted(set(entries) - known):
+        raise ValueError(f"{where}: unknown entries {unknown}: choose from {', '.join(sorted(known))}")
+    check_arguments(target, entries, f"{where}: ")
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()}
 
 
 _NAME = re.compile(r"\w[\w.+-]*")
-_PLOTS = {"pareto", "differences"}
-_KINDS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
-    "overrides": (_overrides, "a list of overrides of a training, such as [model=eldenet]"),
-    "rate_overrides": (_overrides, "a list of overrides of a training, such as [trainer.epochs=6]"),
-    "block": (_line, "a line of text"),
-    "seen": (_line, "a line of text"),
-    "from": (_line, "the name of another study's folder"),
-    "latency": (lambda value: value is None or _line(value), "the name of a CSV file"),
-    "reference": (lambda value: _all(value, str), "a list of rows"),
-    "columns": (lambda value: _all(value, str) and set(value) <= set(METRICS), f"some of {list(METRICS)}"),
-    "compare": (lambda value: _line(value) and value in METRICS, f"one of {', '.join(METRICS)}"),
-    "seeds": (
-        lambda value: _all(value, int) and 0 < len(value) == len(set(value)),
-        "different seeds: [0, 1]",
-    ),
-    "given": (
-        lambda value: isinstance(value, Mapping) and all(map(_line, value.values())),
-        "a mapping, such as {kitti: data.root}",
-    ),
-    "learning_rate": (lambda value: value is None or _rates((value,)), "a number above 0, such as 1.0e-3"),
-    "learning_rates": (_rates, "a list of numbers above 0, such as [3.0e-4, 1.0e-3]"),
-    "epoch": (lambda value: _line(value) and value in ("chosen", "last"), "chosen or last"),
-    "plots": (lambda value: _all(value, str) and set(value) <= _PLOTS, "pareto or differences"),
-}

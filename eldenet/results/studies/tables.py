@@ -6,14 +6,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from eldenet.evaluation.metric_names import LOWER_IS_BETTER, in_range
+from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results import paired_intervals
 from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mixtures
 from eldenet.results.paired_intervals import Difference
+from eldenet.results.run_record import check_figures
 from eldenet.results.studies.latency import Latencies
 from eldenet.results.studies.matching import outdated_search, stored_choice, stored_runs
 from eldenet.results.studies.plan import Study, StudyRow, run_name
 from eldenet.results.tables import CORE, heading, number, protocol_line, training_line
+from eldenet.system.errors import reading
 from eldenet.system.files import read_table
 
 PUBLISHED = ("abs_rel", "rmse", "delta1")
@@ -93,21 +95,12 @@ def read_expected(folder: Path) -> list[dict[str, str]]:
         return []
     entries = read_table(path, EXPECTED_HEADER)
     for entry in entries:
-        for name in PUBLISHED:
-            if entry[name] and not _is_figure(name, entry[name]):
-                raise ValueError(
-                    f"{path}: {entry['row']}: {name}={entry[name]!r} is not a valid value of this metric"
-                )
-        if any(entry[name] for name in PUBLISHED) and not (entry["source"] and entry["protocol"]):
+        figures = {name: entry[name] for name in PUBLISHED if entry[name]}
+        with reading(path, "table of published figures", f"correct the line of {entry['row']}"):
+            check_figures(path, {name: float(figure) for name, figure in figures.items()})
+        if figures and not (entry["source"] and entry["protocol"]):
             raise ValueError(f"{path}: {entry['row']} has a figure but no protocol or source: give both")
     return entries
-
-
-def _is_figure(name: str, text: str) -> bool:
-    try:
-        return in_range(name, float(text))
-    except ValueError:
-        return False
 
 
 @dataclass(frozen=True)
