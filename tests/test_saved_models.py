@@ -16,7 +16,6 @@ from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.backbones.resnet import ResNet
 from eldenet.backbones.timm import TimmBackbone
 from eldenet.backbones.vgg import VGG16
-from eldenet.backbones.weights import read_weights
 from eldenet.compose import compose
 from eldenet.configurable import build
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
@@ -149,30 +148,6 @@ def test_a_parts_config_rebuilds_it() -> None:
     assert isinstance(build(LinearHead().config), LinearHead)
     with pytest.raises(TypeError, match="max_dept"):
         LinearHead(max_dept=4)
-
-
-def test_both_saved_files_have_the_same_permissions(tmp_path):
-    eldenet.load("eldenet_s").save_pretrained(tmp_path)
-    modes = {(tmp_path / name).stat().st_mode for name in ("config.json", "model.safetensors")}
-    assert len(modes) == 1
-
-
-@pytest.mark.parametrize("wrong", [float("nan"), float("inf")])
-def test_weights_that_are_not_finite_do_not_load(wrong: float, tmp_path: Path) -> None:
-    model = small_net()
-    with torch.no_grad():
-        next(model.parameters()).view(-1)[0] = wrong
-    model.save_pretrained(tmp_path)
-    torch.save(model.state_dict(), tmp_path / "weights.pth")
-    for load in (
-        lambda: DepthNet.from_pretrained(tmp_path),
-        lambda: read_weights(tmp_path / "model.safetensors"),
-        lambda: read_weights(tmp_path / "weights.pth"),
-    ):
-        with pytest.raises(
-            ValueError, match=r"are not finite \(network\..*; 1 of \d+ tensors\): the training"
-        ):
-            load()
 
 
 def test_a_training_starts_from_fitting_weights_only(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.damages import refusal
+from support.damages import flips_and_cuts, refusal
 from support.rooms_network import SIZE
 
 import eldenet
@@ -41,29 +41,19 @@ def copied(exported: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def damages(content: bytes) -> list[bytes]:
-    """Forty changed bits and ten cuts."""
-    generator, found = np.random.default_rng(0), []
-    for _ in range(40):
-        copy = bytearray(content)
-        copy[generator.integers(len(copy))] ^= 1 << int(generator.integers(8))
-        found.append(bytes(copy))
-    return found + [content[:end] for end in generator.integers(0, len(content), 10)]
-
-
 @pytest.mark.parametrize("name", ["m.onnx", "m.xml", "m.bin"])
 def test_every_changed_bit_of_an_exported_file_is_noticed(name: str, copied: Path) -> None:
     path = copied / name
     network = path if path.suffix == ".onnx" else copied / "m.xml"
     assert check_seal(network)
     whole = path.read_bytes()
-    for content in damages(whole):
+    for content in flips_and_cuts(whole):
         path.write_bytes(content)
         assert not is_whole(network)
     if path.suffix == ".onnx":  # whole but for its metadata
         path.write_bytes(whole[: whole.rindex(b"eldenet.eldenet_version") - 5])
         assert not is_whole(path)
-    path.write_bytes(damages(whole)[0])
+    path.write_bytes(flips_and_cuts(whole)[0])
     for runtime in runtimes.READS[network.suffix]:
         with pytest.raises(ValueError, match=rf"{network} does not match its digest: .*export it again"):
             runtimes.load(network, runtime, threads=1)

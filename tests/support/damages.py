@@ -22,6 +22,16 @@ def refusal(read: Callable[[], object]) -> str | None:
     return None
 
 
+def flips_and_cuts(content: bytes, flips: int = 40, cuts: int = 10) -> list[bytes]:
+    """Copies with one changed bit each, then copies that end early."""
+    generator, found = RNG(0), []
+    for _ in range(flips):
+        copy = bytearray(content)
+        copy[generator.integers(len(copy))] ^= 1 << int(generator.integers(8))
+        found.append(bytes(copy))
+    return found + [content[:end] for end in generator.integers(0, len(content), cuts)]
+
+
 # --- what may happen to any file ---------------------------------------------------------------------------
 
 
