@@ -53,8 +53,8 @@ class DepthDataset(Dataset[DepthSample]):
         resize_on_load: ``(height, width)`` to which a frame is resized as soon as it is read, before the
             transform [px]: augmenting at the training size costs a tenth of augmenting at the camera's. None
             keeps the frame's.
-        cache: keeps frames once they are read (and resized): "disk" for this run and later ones, "ram" for
-            this run alone, one copy for all workers; or "none". See :mod:`eldenet.data.cache`.
+        cache: "disk" keeps frames once they are read (and resized), for this run and later ones; or "none".
+            See :mod:`eldenet.data.cache`.
         on_error: what to do about a frame whose files are missing or cannot be read: "stop", or "skip", which
             leaves it out of ``names`` and lists it in ``skipped``. Missing files are found at once, the
             others by :meth:`leave_out_unreadable`, which :func:`eldenet.config.build_split` calls.
@@ -89,7 +89,7 @@ class DepthDataset(Dataset[DepthSample]):
         if not names:
             raise ValueError(f"{type(self).__name__} found no frames: check data.root and the split")
         one_of("on_error", on_error, ("stop", "skip"))
-        one_of("cache", cache, ("none", "ram", "disk"))
+        one_of("cache", cache, ("none", "disk"))
         nearest = self.depth_range[0] if min_depth is None else min_depth
         farthest = self.depth_range[1] if max_depth is None else max_depth
         if nearest is None or farthest is None:
@@ -111,7 +111,7 @@ class DepthDataset(Dataset[DepthSample]):
         """Return the files that frame ``index`` is read from; a disk cache watches them for changes."""
         raise ValueError(
             f"{type(self).__name__} has no frame_files method, so a disk cache cannot notice when files "
-            "change: add one, or set cache=ram"
+            "change: add one, or set cache=none"
         )
 
     def frame_settings(self) -> dict[str, object]:
@@ -196,7 +196,7 @@ class DepthDataset(Dataset[DepthSample]):
         """Open the frame cache, if ``cache`` asks for one; call it before starting workers that share it.
 
         Raises:
-            ValueError: cache=ram and too little memory, or cache=disk and no ``frame_files``.
+            ValueError: the data set has no ``frame_files``.
         """
         if self.cache != "none" and self._cache is None:
             self._cache = open_cache(self)

@@ -1,7 +1,7 @@
 """The frame cache of a data set: frames as they are once read and resized, kept for the next epoch.
 
-"disk" is a file below the cache folder, for this run and later ones; "ram" is a file in memory for this run
-alone. Either is one :class:`~eldenet.data.frame_store.FrameStore` for all worker processes.
+It is a file below the cache folder, for this run and later ones: one
+:class:`~eldenet.data.frame_store.FrameStore` for all worker processes.
 """
 
 import inspect
@@ -17,7 +17,6 @@ from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
 from eldenet.data.paths import default_cache
 from eldenet.system.digests import digest_of, file_digest
 from eldenet.system.files import write_text
-from eldenet.system.resources import available_memory
 from eldenet.types import Frame
 
 if TYPE_CHECKING:
@@ -29,23 +28,13 @@ _LOG = logging.getLogger("eldenet")
 
 
 def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
-    """Open the cache of a data set whose ``cache`` is "ram" or "disk"; None if the folder cannot be written.
+    """Open the cache of a data set whose ``cache`` is "disk"; None if the folder cannot be written.
 
     Raises:
-        ValueError: the memory is too small, or a disk cache cannot notice changes of this data set.
+        ValueError: the cache cannot notice changes of this data set.
     """
     slot = _slot_bytes(dataset)
     size = len(dataset) * slot
-    if dataset.cache == "ram":
-        free = available_memory() // int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
-        if size > free:
-            raise ValueError(
-                f"cache=ram needs {_gigabytes(size)} for {len(dataset)} frames, but only "
-                f"{_gigabytes(free)} are free: "
-                "set cache=disk, cache=none, or a smaller resize_on_load"
-            )
-        _LOG.info("frame cache in memory: up to %s for %d frames", _gigabytes(size), len(dataset))
-        return FrameCache(None, len(dataset), slot)
     folder = default_cache() / "frames" / _folder_name(dataset, slot)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -75,8 +64,8 @@ def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
 class FrameCache(FrameStore):
     """The frames of a data set, each read from its files once and again when they change."""
 
-    def __init__(self, path: Path | None, count: int, slot: int, handle: int | None = None) -> None:
-        super().__init__(path, count, slot, handle)
+    def __init__(self, path: Path, count: int, slot: int) -> None:
+        super().__init__(path, count, slot)
         self._stamps: dict[int, bytes] = {}
         self._warned: set[str] = set()
 
@@ -85,7 +74,7 @@ class FrameCache(FrameStore):
     ) -> Frame:
         """Return frame ``index`` from its slot, else from ``read(index)``, which then fills the slot.
 
-        ``files(index)`` are those that the frame is read from; a cache on disk alone needs them.
+        ``files(index)`` are those that the frame is read from.
         """
         stamp = self._stamps.get(index)
         if stamp is None:
@@ -107,16 +96,15 @@ class FrameCache(FrameStore):
         except OSError as error:
             self._warn(
                 "full",
-                f"the frame cache {self.path or 'in memory'} is full ({error}): all other frames are read "
+                f"the frame cache {self.path} is full ({error}): all other frames are read "
                 "from their files; free some space, or set $ELDENET_CACHE to another folder",
             )
 
     def _stamp(self, name: str, files: Callable[[int], Sequence[Path]], index: int) -> bytes:
         state = [name]
-        if self.path is not None:
-            for file in files(index):
-                found = os.stat(file)
-                state.append(f"{file}|{found.st_size}|{found.st_mtime_ns}|{found.st_ctime_ns}")
+        for file in files(index):
+            found = os.stat(file)
+            state.append(f"{file}|{found.st_size}|{found.st_mtime_ns}|{found.st_ctime_ns}")
         return make_stamp(*state)
 
     def _warn(self, what: str, message: str) -> None:
@@ -147,7 +135,7 @@ def _identity(dataset: "DepthDataset") -> dict[str, Any]:
     except (TypeError, OSError) as error:
         raise ValueError(
             f"{kind.__name__} is not defined in a file, so a disk cache cannot notice when its code changes: "
-            "move it into a module, or set cache=ram"
+            "move it into a module, or set cache=none"
         ) from error
     return {
         "version": VERSION,

@@ -10,12 +10,9 @@ that it renders. A render process loads this module, so it must not load torch.
 
 import os
 import struct
-import tempfile
 import zlib
-from multiprocessing.context import get_spawning_popen
-from multiprocessing.reduction import DupFd
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -42,19 +39,17 @@ class FrameStore:
     """``count`` slots of ``slot`` bytes in a file. A pickled store is the same store in a worker process.
 
     Args:
-        path: of the file, which is created or made longer as needed; None for one in memory, which ends with
-            its processes.
+        path: of the file, which is created or made longer as needed.
         count: number of frames.
         slot: bytes of each slot, from :func:`slot_size`.
-        handle: of an open file to use instead.
 
     Raises:
         OSError: the file cannot be created.
     """
 
-    def __init__(self, path: Path | None, count: int, slot: int, handle: int | None = None) -> None:
+    def __init__(self, path: Path, count: int, slot: int) -> None:
         self.path, self.count, self.slot = path, count, slot
-        self.handle = _open(path) if handle is None else handle
+        self.handle = _open(path)
         if os.fstat(self.handle).st_size < count * slot:
             # sparse: takes no room yet. Unlike ftruncate, this cannot cut what another process just added
             _write(self.handle, b"\0", count * slot - 1, path)
@@ -64,14 +59,7 @@ class FrameStore:
             os.close(self.handle)
 
     def __reduce__(self) -> Any:
-        if self.path is None and get_spawning_popen() is None:
-            return type(None), ()  # a copy within this process gets a memory of its own
-        shared = DupFd(self.handle) if self.path is None else None
-        return type(self)._reopened, (self.path, self.count, self.slot, shared)
-
-    @classmethod
-    def _reopened(cls, path: Path | None, count: int, slot: int, shared: Any) -> Self:
-        return cls(path, count, slot, None if shared is None else shared.detach())
+        return type(self), (self.path, self.count, self.slot)
 
     def get(self, index: int, stamp: bytes, name: str) -> Frame | None:
         """Return a copy of the frame in a slot, or None if the slot holds no whole frame with this stamp."""
@@ -122,25 +110,20 @@ class FrameStore:
         return True
 
 
-def _open(path: Path | None) -> int:
-    if path is not None:
-        try:
-            return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except OSError:
-            return os.open(path, os.O_RDONLY | os.O_CLOEXEC)  # a shared file that this user may only read
-    if hasattr(os, "memfd_create"):
-        return os.memfd_create("eldenet-frames")
-    with tempfile.TemporaryFile() as file:  # not on Linux: a file without a name, in memory if it fits
-        return os.dup(file.fileno())
+def _open(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError:
+        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)  # a shared file that this user may only read
 
 
-def _write(handle: int, content: bytes, start: int, path: Path | None) -> None:
+def _write(handle: int, content: bytes, start: int, path: Path) -> None:
     done = 0
     try:
         while done < len(content):
             done += os.pwrite(handle, content[done:], start + done)
     except OSError as error:  # name the file
-        raise OSError(error.errno, error.strerror, str(path or "memory")) from None
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def _checksum(fields: bytes, image: np.ndarray, depth: np.ndarray) -> int:

@@ -168,8 +168,6 @@ def _training_set(
     except (FileNotFoundError, ValueError) as error:
         log.say(f"no constant predictor in the table, because the training frames are missing: {error}")
         return None
-    if train_set.cache == "ram":
-        train_set.cache = "none"  # each frame is read once: nothing to keep
     return train_set
 
 

@@ -37,7 +37,7 @@ from eldenet.system.resources import choose_resources  # noqa: E402
 HERE = Path(__file__).parent
 SIZE, BATCH, ROUNDS = (228, 304), 32, 12
 FRAMES = 192  # of an epoch of the trainer
-ROWS = ("torchvision v2", "cold", "disk", "ram")
+ROWS = ("torchvision v2", "cold", "disk")
 FIELDS = ("loader", "workers", "images_per_s", "ratio_to_cold", "low", "high")
 
 
@@ -71,12 +71,12 @@ class TorchvisionNYU(Dataset):
 
 def loader_of(row: str, workers: int) -> DataLoader:
     options: dict[str, Any] = {"input_size": SIZE, "resize_on_load": SIZE, "transform": Augmentation()}
-    kind = row if row in ("disk", "ram") else "none"
+    kind = "disk" if row == "disk" else "none"
     frames = NYULabelled(split="train", min_depth=0.1, cache=kind, **options)
     sampler = EpochSampler(len(frames), BATCH, seed=0)
-    if row in ("disk", "ram"):
+    if row == "disk":
         for index in range(len(frames)):  # fill the cache; this is as slow as "cold"
-            frames._ready_frame(index)
+            _ = frames[index]
     if row != "torchvision v2":
         return training_loader(frames, sampler, workers=workers)
     return DataLoader(
@@ -170,7 +170,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["ELDENET_CACHE"] = folder
         rows = measure(0) + measure(max(1, resources.workers))
-        waited = {cache: waits(cache) for cache in ("none", "disk", "ram")}
+        waited = {cache: waits(cache) for cache in ("none", "disk")}
     lines = [
         f"{where['hardware']['processor']}, {resources.cores} hardware threads, {resources.threads} of them "
         f"torch's, {where['date']}; versions {json.dumps(where['versions'])}.",

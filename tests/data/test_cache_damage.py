@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 from support import layouts
 from support.frame_caches import reads_of, same
-from support.synthetic import SyntheticDepth
 
-from eldenet.data import cache as cache_module
 from eldenet.data import frame_store
 from eldenet.data.frame_store import HEADER, FrameStore
 from eldenet.data.nyu import NYULabelled
@@ -143,9 +141,3 @@ def test_the_log_says_where_and_how_large(tmp_path: Path, store_folder: Path, ca
     assert str(store_folder) in caplog.text
     assert "0.00 GB once all 2 frames are in it" in caplog.text
     assert "remove the folder" in caplog.text
-
-
-def test_memory_that_is_too_small_is_refused(monkeypatch) -> None:
-    monkeypatch.setattr(cache_module, "available_memory", lambda: 10_000)
-    with pytest.raises(ValueError, match=r"cache=ram needs 0\.00 GB for 30 frames.*cache=disk"):
-        SyntheticDepth(30, cache="ram")[0]
