@@ -16,12 +16,11 @@ from eldenet.configurable import instantiate as build_part
 from eldenet.system.checks import one_of
 from eldenet.system.extras import require
 from eldenet.system.resources import choose_resources
-from eldenet.weights import BEST, find_checkpoint, list_models
+from eldenet.weights import BEST, find_checkpoint
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from eldenet.deploy.benchmarking.run import BenchmarkSetup
     from eldenet.deploy.prediction import PredictionSetup
     from eldenet.results.studies.plan import Composition
     from eldenet.results.studies.runner import StudySetup, Training
@@ -127,7 +126,7 @@ def _size(config: DictConfig, name: str, otherwise: str = "null") -> tuple[int, 
 # --- train, evaluate, adapt, train_detector -----------------------------------------------------------------
 
 
-# --- predict, export, demo, benchmark -----------------------------------------------------------------------
+# --- predict, export, demo ----------------------------------------------------------------------------------
 
 
 def build_prediction(config: DictConfig) -> "PredictionSetup":
@@ -252,43 +251,6 @@ def _build_boxes(config: DictConfig, *, of_kitti: bool, is_video: bool) -> Calla
     perception = Perception(None, detector, lifter, None, tracker=tracker)
     by_depth = config.perception.lifter.get("method") != "no_depth"
     return functools.partial(box_results, perception, is_video=is_video, check_sizes=by_depth)
-
-
-def build_benchmark(config: DictConfig) -> "BenchmarkSetup":
-    """Return the setup of ``python -m eldenet.benchmark``.
-
-    Raises:
-        ValueError: a setting is wrong.
-    """
-    from eldenet.deploy.runtimes import PRECISIONS, RUNTIMES
-    from eldenet.evaluation.metric_names import METRICS
-
-    several = ("batches", "runtimes", "precisions", "threads", "accuracies", "trusted_modules")
-    lists = {name: tuple(listed(config[name])) for name in several}
-    for runtime in lists["runtimes"]:
-        one_of("runtimes", runtime, RUNTIMES)
-    for precision in lists["precisions"]:
-        one_of("precisions", precision, PRECISIONS)
-    if config.rounds < 1:
-        raise ValueError(f"rounds={config.rounds}: give 1 or more")
-    sizes = plain(config.sizes)
-    if not all(isinstance(size, list) and [type(side) for side in size] == [int, int] for size in sizes):
-        raise ValueError(f"sizes={sizes}: give [[height, width], ...] in pixels")
-    one_of("accuracy", str(config.accuracy), METRICS)
-    models = list_models() if config.models is None else listed(config.models)
-    for model in models:
-        find_checkpoint(str(model), "models")
-    from eldenet.deploy.benchmarking.run import BenchmarkSetup
-
-    return _filled(
-        BenchmarkSetup,
-        config,
-        **lists,
-        models=tuple(map(str, models)),
-        sizes=tuple(map(tuple, sizes)),
-        output=Path(config.output).expanduser(),
-        composition=training_composition(),
-    )
 
 
 # --- study and report ---------------------------------------------------------------------------------------

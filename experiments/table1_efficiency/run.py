@@ -10,10 +10,9 @@ from pathlib import Path
 import yaml
 
 import eldenet
-from eldenet.compose import compose_config
-from eldenet.config import build_benchmark
+from eldenet.benchmark import BenchmarkSettings, benchmark
+from eldenet.compose import compose, listed
 from eldenet.deploy.benchmarking.measure import COLUMNS
-from eldenet.deploy.benchmarking.run import benchmark
 from eldenet.deploy.benchmarking.tables import draw, notes_of, read_accuracies, text_of
 from eldenet.results.tables import to_latex, to_markdown
 from eldenet.system.files import write_rows
@@ -33,14 +32,14 @@ def main() -> None:
         settings["models"] = [model for model in settings["models"] if model in there]
         words = [f"{key}={value}".replace("'", "").replace(" ", "") for key, value in settings.items()]
         # a folder of its own: a column compares rows that were measured in the same rounds
-        setup = build_benchmark(compose_config("benchmark", [*words, *overrides, f"output='{work}/{name}'"]))
-        first = first or setup
-        tables[name] = benchmark(setup)
+        s = compose(BenchmarkSettings, [*words, *overrides, f"output='{work}/{name}'"])
+        first = first or s
+        tables[name] = benchmark(s)
     missing = [name for name in listed["models"] if name not in there]
     write(tables, missing, listed["no_code"], Path(work), first)
 
 
-def write(tables: dict[str, list[dict]], missing: list[str], no_code: list[str], folder: Path, setup) -> None:
+def write(tables: dict[str, list[dict]], missing: list[str], no_code: list[str], folder: Path, s) -> None:
     """One table for each part, with a heading; a CSV of all rows, by part; the plot of the first part."""
     every = {(name, *row["key"]): row for name, rows in tables.items() for row in rows}
     notes = [
@@ -60,7 +59,7 @@ def write(tables: dict[str, list[dict]], missing: list[str], no_code: list[str],
     (folder / "results.md").write_text("\n".join(markdown))
     (folder / "results.tex").write_text("\n".join(latex))
     rows = next(iter(tables.values()))
-    accuracies = read_accuracies(setup.accuracies, setup.accuracy, {row["model"] for row in rows})
+    accuracies = read_accuracies(listed(s.accuracies), s.accuracy, {row["model"] for row in rows})
     draw(rows, accuracies, folder / "results.png")
     print(f"{len(every)} rows in {folder}: copy results.* to {HERE} if the machine was idle")
 

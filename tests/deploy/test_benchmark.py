@@ -10,12 +10,11 @@ import pytest
 import torch
 
 import eldenet
-from eldenet.compose import compose_config
-from eldenet.config import build_benchmark
+from eldenet.benchmark import DEFAULT_REFERENCE, BenchmarkSettings, benchmark, load_models
+from eldenet.compose import compose
 from eldenet.deploy.benchmarking import measure
 from eldenet.deploy.benchmarking.measure import COLUMNS, Case
 from eldenet.deploy.benchmarking.rows import read_rows
-from eldenet.deploy.benchmarking.run import DEFAULT_REFERENCE, benchmark, load_models
 from eldenet.deploy.benchmarking.tables import draw, read_accuracies
 from eldenet.deploy.fold import fold
 from eldenet.evaluation.cost import count_macs, count_params
@@ -34,7 +33,7 @@ TINY = (
 
 
 def run(output: Path, *overrides: str) -> list[dict[str, Any]]:
-    return benchmark(build_benchmark(compose_config("benchmark", [*TINY, f"output='{output}'", *overrides])))
+    return benchmark(compose(BenchmarkSettings, [*TINY, f"output='{output}'", *overrides]))
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -146,7 +145,7 @@ def test_rows_of_other_settings_do_not_count(tmp_path: Path, capsys: pytest.Capt
     assert rows[1]["precision"] == "bf16"
     assert rows[1]["ratio_latency"] > 0
     capsys.readouterr()
-    assert compose_config("benchmark", []).reference == DEFAULT_REFERENCE
+    assert BenchmarkSettings().reference == DEFAULT_REFERENCE
     (row,) = run(tmp_path, *words, f"reference={DEFAULT_REFERENCE}")
     assert row["ratio_latency"] is None
     assert "is not among the models: no ratio_latency" in capsys.readouterr().out
@@ -234,8 +233,8 @@ def test_wrong_settings_are_refused(tmp_path: Path, overrides: list[str], messag
 
 
 def test_packaged_weights_keep_their_names() -> None:
-    setup = build_benchmark(compose_config("benchmark", ["models=[eldenet_rooms,eldenet_indoor]"]))
-    assert list(load_models(setup).models) == ["eldenet_rooms", "eldenet_indoor"]
+    s = compose(BenchmarkSettings, ["models=[eldenet_rooms,eldenet_indoor]"])
+    assert list(load_models(s).models) == ["eldenet_rooms", "eldenet_indoor"]
 
 
 def test_timed_calls_take_turns() -> None:

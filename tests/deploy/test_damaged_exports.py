@@ -9,11 +9,10 @@ from support.damages import flips_and_cuts, refusal
 from support.rooms_network import SIZE
 
 import eldenet
-from eldenet.compose import compose_config
-from eldenet.config import build_benchmark
+from eldenet.benchmark import BenchmarkSettings, prepare
+from eldenet.compose import compose
 from eldenet.deploy import runtimes
 from eldenet.deploy.benchmarking.measure import Case
-from eldenet.deploy.benchmarking.run import prepare
 from eldenet.deploy.metadata import DIGEST, check_seal, describe, is_whole
 from eldenet.deploy.onnx_export import write_onnx
 from eldenet.deploy.openvino_export import write_openvino
@@ -109,12 +108,12 @@ def test_a_name_in_the_weights_cannot_leave_the_folder(
 
 def test_benchmark_exports_a_cut_file_again(tmp_path: Path) -> None:
     options = ["models=[eldenet_s]", "sizes=[[32,64]]", "reference=eldenet_s", f"output='{tmp_path}'"]
-    setup = build_benchmark(compose_config("benchmark", options))
+    s = compose(BenchmarkSettings, options)
     case = Case("../m", *SIZE, 1, "openvino", "fp32", 1, "cpu")
-    first = prepare(case, eldenet.load("eldenet_s"), "print", setup).source
+    first = prepare(case, eldenet.load("eldenet_s"), "print", s).source
     assert first is not None
     assert first.parent == tmp_path / "exports"  # whatever the name
     weights = first.with_suffix(".bin")
     weights.write_bytes(weights.read_bytes()[:1000])
-    assert prepare(case, eldenet.load("eldenet_s"), "print", setup).source == first
+    assert prepare(case, eldenet.load("eldenet_s"), "print", s).source == first
     assert is_whole(first)

@@ -11,9 +11,10 @@ import pytest
 from support.tiny_study import TRAINING, cells, run, run_all, short
 
 from eldenet import config as cfg
+from eldenet.benchmark import BenchmarkSettings, benchmark
+from eldenet.compose import compose
 from eldenet.config import training_composition
 from eldenet.deploy.benchmarking import measure as measuring
-from eldenet.deploy.benchmarking.run import benchmark
 from eldenet.results.packed_runs import RUNS, add_record, read_records
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import read_study
@@ -138,8 +139,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monk
 
     def measure(*words: str, output: str = "out") -> list[dict]:
         options = [f"study={tiny}", "rounds=1", "seconds=0.01", "memory=false"]
-        config = cfg.compose("benchmark", [*options, *words, f"output={tmp_path / output}"])
-        return benchmark(cfg.build_benchmark(config))
+        return benchmark(compose(BenchmarkSettings, [*options, *words, f"output={tmp_path / output}"]))
 
     rows = measure("runtimes=[torch]")
     networks = [("eldenet_s", 32), ("eldenet", 32), ("plain", 32), ("larger", 64)]
