@@ -62,17 +62,25 @@ def help_template(settings: type | str, about: str) -> str:
 def settings_help(settings: type) -> str:
     """Return a command's settings, a line each, with their defaults and the comments beside them.
 
-    Settings that its modes add follow under the docstrings of the dataclass's subclasses.
+    Settings that its modes add follow under the docstrings of the dataclass's subclasses. A section that the
+    command's YAML file writes out is shown as it stands there, with its comments.
     """
     config_name = command_of(settings)
+    written = re.split(r"\n(?=\w)", (config_folder() / f"{config_name}.yaml").read_text().rstrip())
+    sections = {text.partition(":")[0]: text for text in written}
 
     def shown(part: type) -> str:
         chosen = [f"mode={part.mode}"] if hasattr(part, "mode") else []
         defaults = plain(compose_config(config_name, chosen), resolve=False)
-        defaults |= {name: file for name, file in choices(config_name, chosen).items() if "/" not in name}
+        taken = {name: file for name, file in choices(config_name, chosen).items() if "/" not in name}
+        defaults |= taken
+        lines = [
+            line if (name := line.partition(":")[0]) in taken else sections.get(name, line)
+            for line in _lines(part, defaults)
+        ]
         modes: list[type] = part.__subclasses__()
         added = [f"\n{(mode.__doc__ or '').splitlines()[0]}\n{shown(mode)}" for mode in modes]
-        return "\n".join([*_lines(part, defaults), *added])
+        return "\n".join([*lines, *added])
 
     return shown(settings)
 

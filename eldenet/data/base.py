@@ -57,7 +57,7 @@ class DepthDataset(Dataset[DepthSample]):
             See :mod:`eldenet.data.cache`.
         on_error: what to do about a frame whose files are missing or cannot be read: "stop", or "skip", which
             leaves it out of ``names`` and lists it in ``skipped``. Missing files are found at once, the
-            others by :meth:`leave_out_unreadable`, which :func:`eldenet.config.build_split` calls.
+            others by :meth:`leave_out_unreadable`, which :func:`eldenet.evaluation.splits.open_split` calls.
 
     Attributes:
         names: the frames, in order.

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from support.predicting import photo, read_ply, save, setup
+from support.predicting import photo, read_ply, save, settings
 from torch import nn
 
 import eldenet
 from eldenet.deploy.lens import Lens, exif_focal
 from eldenet.deploy.metadata import describe
 from eldenet.deploy.onnx_export import write_onnx
-from eldenet.deploy.prediction import predict
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.geometry import focal_of_fov
 from eldenet.heads import ScaledHead
 from eldenet.model import DepthNet
+from eldenet.predict import predict
 
 SIZE = (24, 32)
 
@@ -171,7 +171,7 @@ def test_a_photo_whose_exif_knows_the_lens_becomes_points(lens_model: DepthNet, 
     lens_model.save_pretrained(tmp_path / "model")
     photo_with_exif(tmp_path / "in/a.jpg", (48, 64), 26)
     photo_with_exif(tmp_path / "in/b.jpg", (64, 48), 26)  # of another size
-    predict(setup(tmp_path / "model", tmp_path / "in", tmp_path / "out", "formats=[depth,ply]"))
+    predict(settings(tmp_path / "model", tmp_path / "in", tmp_path / "out", "formats=[depth,ply]"))
     focal = 26 * 80 / 43.27
     for name, (height, width) in {"a": (48, 64), "b": (64, 48)}.items():
         points = read_ply(tmp_path / f"out/{name}.ply")
@@ -191,7 +191,7 @@ def test_predict_says_which_camera_it_assumed(
 ) -> None:
     lens_model.save_pretrained(tmp_path / "model")
     picture = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
-    predict(setup(tmp_path / "model", picture, tmp_path / "out", "formats=[depth]", *overrides))
+    predict(settings(tmp_path / "model", picture, tmp_path / "out", "formats=[depth]", *overrides))
     assert line in capsys.readouterr().out
 
 
@@ -199,6 +199,8 @@ def test_predict_says_that_distances_may_be_off_without_a_focal_length(
     lens_model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lens_model.save_pretrained(tmp_path / "model")
-    predict(setup(tmp_path / "model", save(tmp_path / "a.png", photo()), tmp_path / "out", "formats=[depth]"))
+    predict(
+        settings(tmp_path / "model", save(tmp_path / "a.png", photo()), tmp_path / "out", "formats=[depth]")
+    )
     line = "camera: unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
     assert line in capsys.readouterr().out

@@ -4,21 +4,23 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from support.networks import canonical_net
-from support.predicting import exported, listed, photo, read_ply, run, save, setup, turned_by_exif
+from support.predicting import exported, listed, photo, read_ply, run, save, settings, turned_by_exif
 
 import eldenet
 from eldenet.data.io import read_depth
 from eldenet.deploy import outputs
 from eldenet.deploy.outputs import name_results
-from eldenet.deploy.prediction import open_predictor
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.model import DepthNet
+from eldenet.predict import open_predictor
 from eldenet.results.run_log import RunLog
+from eldenet.system.resources import Resources, choose_resources
 from eldenet.weights import BEST
 
 RNG = np.random.default_rng(0)
@@ -196,14 +198,14 @@ def test_a_read_error_of_the_disk_is_one_unreadable_picture(model_folder: Path, 
         (["formats=[colour]"], "'colour' is now called 'color'"),
         (["formats=[]"], "formats is empty"),
         (["on_error=ignore"], "stop, skip"),
-        (["frames=0"], "frames=0: give whole numbers of 1 or more"),
-        (["focal=true"], "focal=True: give a number or null"),
+        (["frames=0"], "frames=0: give a whole number above 0"),
+        (["focal=true"], "focal=true: give a number or null"),
         (["fov=wide"], "fov=wide: give a number or null"),
         (["max_side=large"], "max_side=large: give a whole number"),
-        (["overwrite=no"], "overwrite=no: give true or false"),
-        (["sharp=off"], "sharp=off: give true or false"),
-        (["steady=off"], "steady=off: give true or false"),
-        (["boxes=no"], "boxes=no: give true or false"),
+        (["overwrite=maybe"], "overwrite=maybe: give true or false"),
+        (["sharp=maybe"], "sharp=maybe: give true or false"),
+        (["steady=maybe"], "steady=maybe: give true or false"),
+        (["boxes=maybe"], "boxes=maybe: give true or false"),
         (["depth_range=[5,1]"], "near < far"),
         (["input_size=[32]"], "input_size"),
         (["engine=tvm"], "engine='tvm': give one of auto, torch"),
@@ -250,9 +252,14 @@ def test_auto_device_means_the_cpu_outside_torch(
 ) -> None:
     """Accelerators of ONNX Runtime and OpenVINO need other builds."""
     pytest.importorskip(engine)
-    with monkeypatch.context() as patch:
-        patch.setattr("torch.cuda.is_available", lambda: True)
-        asked = setup(model_folder, save(tmp_path / "a.png", photo()), tmp_path / "out", f"engine={engine}")
+
+    def choose(**given: Any) -> Resources:
+        with monkeypatch.context() as patch:
+            patch.setattr("torch.cuda.is_available", lambda: True)
+            return choose_resources(**given)
+
+    monkeypatch.setattr("eldenet.predict.choose_resources", choose)
+    asked = settings(model_folder, tmp_path / "a.png", tmp_path / "out", f"engine={engine}")
     predictor = open_predictor(asked, RunLog(tmp_path, quiet=True))
     assert predictor.model.device == "cpu"
     assert predictor(photo()).shape == (48, 64)
@@ -279,12 +286,11 @@ def test_the_command_writes_below_runs_and_fails_with_one_line(
 LOADS_NO_TORCH = """
 import resource, sys
 from pathlib import Path
-from eldenet.compose import compose_config
-from eldenet.config import build_prediction
-from eldenet.deploy.prediction import predict
+from eldenet.compose import compose
+from eldenet.predict import PredictSettings, predict
 words = sys.argv[1:]
 try:
-    predict(build_prediction(compose_config("predict", words)))
+    predict(compose(PredictSettings, words))
 except FileNotFoundError:
     usage = resource.getrusage(resource.RUSAGE_SELF)
     assert usage.ru_utime + usage.ru_stime < 1.5, usage

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 from support.networks import small_net
-from support.predicting import listed, photo, save, setup
+from support.predicting import listed, photo, save, settings
 
 from eldenet.deploy import runtimes
 from eldenet.deploy.metadata import describe
 from eldenet.deploy.onnx_export import write_onnx
 from eldenet.deploy.openvino_export import write_openvino
-from eldenet.deploy.prediction import predict
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.heads import LinearHead, UncertainHead
 from eldenet.model import DepthNet
+from eldenet.predict import predict
 from eldenet.uncertainty import NO_SIGMA
 from eldenet.visualization import PALE
 
@@ -97,7 +97,7 @@ def test_predict_writes_sigma_and_pales_what_it_does_not_know(
 ) -> None:
     source = save(tmp_path / "room.png", photo())
     folder = model.save_pretrained(tmp_path / "model", info=model.info)
-    results = predict(setup(folder, source, tmp_path / "out", "formats=[depth,color,sigma]"))
+    results = predict(settings(folder, source, tmp_path / "out", "formats=[depth,color,sigma]"))
     names = ["room_color.png", "room_depth.png", "room_sigma.png", "room_sigma_color.png"]
     assert listed(tmp_path / "out") == names
     read = [cv2.imread(str(tmp_path / "out" / name), cv2.IMREAD_UNCHANGED) for name in names]
@@ -120,7 +120,7 @@ def test_pictures_without_the_format_sigma_have_plain_colors(
 ) -> None:
     source = save(tmp_path / "room.png", photo())
     folder = model.save_pretrained(tmp_path / "model", info=model.info)
-    predict(setup(folder, source, tmp_path / "out", "formats=[color]"))
+    predict(settings(folder, source, tmp_path / "out", "formats=[color]"))
     panel = cv2.imread(str(tmp_path / "out" / "room_color.png"))[:, 5 * 64 + 4 : 2 * 5 * 64 + 4]
     assert not (panel >= PALE).all(-1).any()
     assert "formats=[color,sigma] shows where" in capsys.readouterr().out
@@ -130,4 +130,4 @@ def test_predict_refuses_sigma_of_a_network_that_knows_none(tmp_path: Path) -> N
     source = save(tmp_path / "room.png", photo())
     folder = small_net().save_pretrained(tmp_path / "model")
     with pytest.raises(ValueError, match=f"formats has sigma: {NO_SIGMA}"):
-        predict(setup(folder, source, tmp_path / "out", "formats=[sigma]"))
+        predict(settings(folder, source, tmp_path / "out", "formats=[sigma]"))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.predicting import photo, run, save, setup
+from support.predicting import photo, run, save
 
 import eldenet
 from eldenet.boxes import Boxes3D
@@ -136,12 +136,12 @@ def test_an_older_recording_is_not_replaced_and_a_missing_sdk_ends_in_one_line(
     (tmp_path / "out").mkdir()
     (tmp_path / "out/predict.rrd").write_bytes(b"mine")
     with pytest.raises(ValueError, match=r"predict\.rrd.*overwrite=true"):
-        setup(model_folder, picture, tmp_path / "out", "viewer=rerun")
+        run(model_folder, picture, tmp_path / "out", "viewer=rerun")
     with pytest.raises(ValueError, match="viewer='vlc': give one of rerun"):
-        setup(model_folder, picture, tmp_path / "new", "viewer=vlc")
+        run(model_folder, picture, tmp_path / "new", "viewer=vlc")
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ImportError, match="viewer=rerun needs rerun: pip install -e"):
-        setup(model_folder, picture, tmp_path / "new", "viewer=rerun")
+        run(model_folder, picture, tmp_path / "new", "viewer=rerun")
 
 
 def test_the_network_says_how_far_it_can_answer(model) -> None:

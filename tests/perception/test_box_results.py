@@ -11,13 +11,12 @@ from support.detector_files import FILES, save
 from support.standing_boxes import BLANK, CAMERA, boxes
 
 from eldenet.boxes import Detections2D
-from eldenet.compose import compose_config
-from eldenet.config import build_prediction
-from eldenet.deploy.prediction import predict
+from eldenet.compose import compose
 from eldenet.perception.box_results import box_results
 from eldenet.perception.kitti_object import read_labels
 from eldenet.perception.scene import Scene
 from eldenet.perception.tracking import BoxTracker
+from eldenet.predict import PredictSettings, predict
 
 INTRINSICS = "intrinsics=[200,200,128,64]"
 
@@ -32,7 +31,7 @@ def run(model_folder, tmp_path):
             f"checkpoint='{model_folder}'", f"source='{source}'", f"output='{tmp_path}/out'", "boxes=true",
             f"perception.detector.path='{detector}'", "runtime.threads=1", "runtime.workers=0", INTRINSICS,
         ]  # fmt: skip
-        return predict(build_prediction(compose_config("predict", [*options, *overrides])))
+        return predict(compose(PredictSettings, [*options, *overrides]))
 
     return predict_boxes
 

@@ -8,11 +8,10 @@ import pytest
 import torch
 
 import eldenet
-from eldenet.compose import compose_config
-from eldenet.config import build_prediction
+from eldenet.compose import compose
 from eldenet.deploy.outputs import Results
-from eldenet.deploy.prediction import PredictionSetup, predict
 from eldenet.model import DepthNet
+from eldenet.predict import PredictSettings, predict
 
 
 def photo(height: int = 48, width: int = 64) -> np.ndarray:
@@ -54,14 +53,14 @@ def exported(model: DepthNet, path: Path) -> Path:
     return write_onnx(model, path, (32, 64), batch=1, opset=17, metadata=describe(model, "small", (32, 64)))
 
 
-def setup(checkpoint: Path | str, source: Path | str, output: Path, *overrides: str) -> PredictionSetup:
+def settings(checkpoint: Path | str, source: Path | str, output: Path, *overrides: str) -> PredictSettings:
     quoted = [f"checkpoint='{checkpoint}'", f"source='{source}'", f"output='{output}'"]
     words = [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]
-    return build_prediction(compose_config("predict", words))
+    return compose(PredictSettings, words)
 
 
 def run(checkpoint: Path | str, source: Path | str, output: Path, *overrides: str) -> Results:
-    return predict(setup(checkpoint, source, output, *overrides))
+    return predict(settings(checkpoint, source, output, *overrides))
 
 
 def read_ply(path: Path) -> np.ndarray:
