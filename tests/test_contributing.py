@@ -1,4 +1,4 @@
-"""The four examples of CONTRIBUTING.md train together and load again, in a project outside the package."""
+"""The examples of CONTRIBUTING.md run in a project outside the package: parts train together, load again."""
 
 import re
 from pathlib import Path
@@ -99,3 +99,17 @@ def test_a_loss_of_eight_lines_is_used_from_the_command_line(tmp_path: Path, mon
     value.backward()
     assert value.item() == pytest.approx(0.5)
     assert prediction.grad.isfinite().all()
+
+
+def test_the_command_of_contributing_runs(tmp_path: Path, command_server) -> None:
+    page = PAGE.read_text().partition("`eldenet/mine.py` and `configs/mine.yaml`:")[2]
+    code, config = re.findall(r"```(?:python|yaml)\n(.*?)```", page, re.S)[:2]
+    (tmp_path / "mine.py").write_text(code)
+    (tmp_path / "my_configs").mkdir()
+    (tmp_path / "my_configs" / "mine.yaml").write_text(config)
+    words = ("--config-dir", "my_configs", "checkpoint=eldenet_s")
+    finished = command_server.run(str(tmp_path / "mine.py"), (*words, "unit=1000"), tmp_path)
+    assert finished.returncode == 0, finished.stderr
+    assert re.fullmatch(r"eldenet_s: \d+\.\d+\n", finished.stdout)
+    finished = command_server.run(str(tmp_path / "mine.py"), (*words, "unit=0"), tmp_path)
+    assert (finished.returncode, finished.stderr) == (1, "error: unit=0: give a whole number, 1 or more\n")

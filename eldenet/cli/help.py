@@ -211,4 +211,4 @@ def _settings(config_name: str, words: Sequence[str]) -> dict[str, Any]:
         inner = [flat(value, f"{key}.") for key, value in entries.items() if isinstance(value, dict)]
         return {key: value for part in (entries, *inner) for key, value in part.items()}
 
-    return flat(plain(config, resolve=False), "")
+    return {} if config is None else flat(plain(config, resolve=False), "")
