@@ -1,15 +1,66 @@
-"""``python -m eldenet.study``: the missing runs of a study, here or as jobs of a cluster."""
+"""``python -m eldenet.study``: the missing runs of a study, here or as jobs of a cluster.
+
+python -m eldenet.study study=experiments/table3_rivals                    every row, one after the other
+python -m eldenet.study study=experiments/table3_rivals rows=[eldenet]     some rows
+python -m eldenet.study -m study=experiments/table3_rivals hydra/launcher=ray   one job per row, anywhere
+Finished runs are skipped, killed ones resume, failed ones are listed at the end.
+"""
 
 import os
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from eldenet import config as cfg
 from eldenet.cli.entry_point import entry_point
-from eldenet.compose import resolver
+from eldenet.compose import REQUIRED, listed, plain, resolver
+from eldenet.config import study_training, training_composition
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
+#: What rows of our own studies need.
+GIVEN = (
+    *("kitti", "kitti_raw", "cityscapes", "pplcnet_x1_0", "mobilenet_v2"),
+    *("eldenet_l_rooms", "eldenet_plain_rooms", "teacher"),
+)
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """What ``python -m eldenet.study`` reads."""
+
+    study: str = REQUIRED  # folder of sweep.yaml
+    rows: Any = None  # names of rows; null: all
+    row: str | None = None  # the row of this job in a sweep
+    seeds: Any = None  # of every row; null: its seeds in sweep.yaml
+    output: str = "runs"  # run folders are created below <output>/<study>
+    # true: also train rows that are stored but not below output, because other rows need their weights
+    rerun: bool = False
+    # what some rows need (a root, weights); rows that lack it are skipped, and the table says so. Add a name
+    # that your own study needs with a plus: +given.mine=...
+    given: dict[str, Any] = field(default_factory=lambda: dict.fromkeys(GIVEN))
+
+
+def study(s: StudySettings) -> None:
+    """Run the chosen rows one after the other and print at the end what became of each.
+
+    Raises:
+        ValueError: after all of them, if some failed; at once for unknown rows, or seeds that no row has.
+    """
+    from eldenet.results.run_log import RunLog
+    from eldenet.results.studies.runner import StudySetup, run_study
+
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        raise ValueError(
+            "a study runs in one process per row (-m): use torchrun for one run of eldenet.train"
+        )
+    setup = StudySetup(
+        study=s.study,
+        runs=Path(s.output),
+        rows=s.rows,
+        job=s.row,
+        seeds=None if s.seeds is None else listed(s.seeds),
+        rerun=s.rerun,
+        given=s.given,
+    )
+    run_study(setup, study_training(), RunLog(Path.cwd()))
 
 
 @resolver("study_rows")
@@ -17,22 +68,10 @@ def study_rows(study: str, rows: Any) -> str:
     """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
     from eldenet.results.studies.plan import read_study
 
-    return ",".join(row.name for row in read_study(study, cfg.training_composition()).chosen(cfg.plain(rows)))
+    return ",".join(row.name for row in read_study(study, training_composition()).chosen(plain(rows)))
 
 
-@entry_point("study")
-def main(config: "DictConfig", folder: Path) -> None:
-    """Run the chosen rows one after the other and print at the end what became of each."""
-    from eldenet.results.run_log import RunLog
-    from eldenet.results.studies.runner import run_study
-
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-        raise ValueError(
-            "a study runs in one process per row (-m): use torchrun for one run of eldenet.train"
-        )
-    training = cfg.study_training()
-    run_study(cfg.build_study(config), training, RunLog(folder))
-
+main = entry_point(StudySettings)(study)
 
 if __name__ == "__main__":
     main()

@@ -34,9 +34,8 @@ def entry_point(settings: type[S]) -> Callable[[Callable[[S], Any]], Callable[[]
     shows its traceback. Any other error is a bug and shows its traceback. A sweep continues with its other
     jobs.
     """
-    config_name = settings if isinstance(settings, str) else command_of(settings)
-    if not isinstance(settings, str):
-        register(settings)
+    register(settings)
+    config_name = command_of(settings)
 
     def decorate(main: Callable[[S], Any]) -> Callable[[], None]:
         composed = False
@@ -47,7 +46,7 @@ def entry_point(settings: type[S]) -> Callable[[Callable[[S], Any]], Callable[[]
             nonlocal composed
             composed = True
             release()
-            return _run(main, settings, config)
+            return _run(main, config)
 
         def release() -> None:
             sys.stderr = stderr
@@ -97,7 +96,7 @@ def entry_point(settings: type[S]) -> Callable[[Callable[[S], Any]], Callable[[]
     return decorate
 
 
-def _run(main: Callable[[S], Any], settings: type[S], config: DictConfig) -> Any:
+def _run(main: Callable[[S], Any], config: DictConfig) -> Any:
     """Run a job and turn a user's mistake into one line."""
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)
@@ -105,8 +104,6 @@ def _run(main: Callable[[S], Any], settings: type[S], config: DictConfig) -> Any
     threading.excepthook = _thread_failed
     try:
         require_for_parts(OmegaConf.to_container(config))
-        if isinstance(settings, str):
-            return main(config, folder)
         # a command with a run folder, which a sweep numbers: 0, 1, ...
         changes = {} if hydra_config.run.dir == "." else {"output": str(folder)}
         return main(to_settings(config, **changes))

@@ -35,18 +35,14 @@ QUOTES = (
 )
 
 
-def help_template(settings: type | str, about: str) -> str:
+def help_template(settings: type, about: str) -> str:
     """Return Hydra's help template of a command: what it does, its settings with comments, all choices.
 
     Args:
         settings: the command's dataclass.
         about: what the command does, with examples.
     """
-    if isinstance(settings, str):
-        config_name = settings
-        shown = (config_folder() / f"{config_name}.yaml").read_text().partition("\nhydra:")[0].strip()
-    else:
-        config_name, shown = command_of(settings), settings_help(settings)
+    config_name, shown = command_of(settings), settings_help(settings)
     listed = "\n".join(
         fill(f"{group}: {', '.join(names)}", shutil.get_terminal_size().columns, subsequent_indent="  ")
         for group, names in groups(config_name).items()

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from support.tiny_study import TRAINING, cells, run, run_all, short
 
-from eldenet import config as cfg
 from eldenet.benchmark import BenchmarkSettings, benchmark
 from eldenet.compose import compose
 from eldenet.config import training_composition
@@ -19,6 +18,7 @@ from eldenet.results.packed_runs import RUNS, add_record, read_records
 from eldenet.results.studies.matching import run_overrides
 from eldenet.results.studies.plan import read_study
 from eldenet.results.studies.report import write_study_report
+from eldenet.study import StudySettings
 from eldenet.system.files import sole_writer
 
 
@@ -203,12 +203,12 @@ def test_a_message_names_the_setting_that_a_row_needs(tiny, tmp_path):
     """A name that configs/study.yaml does not have needs Hydra's plus."""
     add_to_plan(tiny, "  mine: {given: {mine: data.root}}\n")
     study, said = read_study(tiny, training_composition()), []
-    given = cfg.build_study(cfg.compose("study", [f"study={tiny}"])).given
+    given = compose(StudySettings, [f"study={tiny}"]).given
     for name in ("elsewhere", "mine"):
         run(study, name, tmp_path / "runs", said.append, given=given)
     assert [line.partition("(")[2] for line in said] == ["given.kitti=...)", "+given.mine=...)"]
     for word in ("given.kitti=/data", "+given.mine=/data"):
-        assert "/data" in cfg.build_study(cfg.compose("study", [f"study={tiny}", word])).given.values()
+        assert "/data" in compose(StudySettings, [f"study={tiny}", word]).given.values()
 
 
 def test_a_row_is_run_by_one_process_at_a_time(tiny, tmp_path):
