@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -474,13 +475,14 @@ def _begun_run(root: Path) -> None:
 
     (root / "checkpoints").mkdir(parents=True)
     (root / "checkpoints/last.pt").touch()
-    write_yaml(root / "config.yaml", _setup(root.parent / "work").settings)
+    write_yaml(root / "config.yaml", asdict(_setup(root.parent / "work")))
 
 
 def _go_on(root: Path) -> Any:
     from eldenet.training.resume import checkpoint_to_resume
 
-    return checkpoint_to_resume(_setup(root))
+    s = _setup(root)
+    return checkpoint_to_resume(Path(s.output), s.ckpt_path, asdict(s))
 
 
 def _normalization(path: Path) -> Any:

@@ -143,21 +143,18 @@ ROW = {
 }
 
 
-def test_damaged_rows_of_a_benchmark_are_named_or_measured_again(tmp_path: Path):
+def test_damaged_rows_of_a_benchmark_are_measured_again(tmp_path: Path):
     file = tmp_path / ROWS_FILE
     good = json.dumps(ROW)
     for line in ("[1]", "5", "null", '"x"', "{}", '{"model": "m"}', '{"key": 7}'):
         file.write_text(f"{good}\n{good[:40]}\n{line}\n")  # a kill cut the second line
-        with pytest.raises(ValueError, match=r"rows\.jsonl, line 3 \(remove that line"):
-            read_rows(tmp_path)
+        assert list(read_rows(tmp_path)) == [tuple(ROW["key"])]
     for name in ROW:
         file.write_text(json.dumps(changed(ROW, (name,), None, remove=True)))
-        with pytest.raises(ValueError, match=r"rows\.jsonl, line 1"):
-            read_rows(tmp_path)
+        assert read_rows(tmp_path) == {}
     for name in ("height", "params", "latency_ms_p50"):
         file.write_text(json.dumps(changed(ROW, (name,), -1)))
-        with pytest.raises(ValueError, match=rf"rows\.jsonl, line 1.*{name}=-1"):
-            read_rows(tmp_path)
+        assert read_rows(tmp_path) == {}
     file.write_bytes(good.encode()[:40] + b"\n\xff\xfe\n" + good.encode() + b"\n")  # a kill, and a bad disk
     assert list(read_rows(tmp_path).values()) == [ROW]
     for content in damaged(f"{good}\n{good}\n".encode(), 30):

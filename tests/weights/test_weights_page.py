@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from support.composing import composed
+
 import eldenet
 from eldenet.cli.commands import COMMANDS
 from eldenet.compose import config_folder
@@ -57,9 +59,9 @@ def test_names_follow_the_pages_rule_or_the_page_says_which_do_not():
 
 def test_the_page_names_every_command_that_takes_trusted_modules():
     section = PAGE.read_text().partition("## Networks with code of your own")[2]
-    takes, takes_not = section.split("In `study` it also")
+    takes, takes_not = section.split("In Python, use")
     for command in COMMANDS:
-        settings = (config_folder() / f"{command.replace('-', '_')}.yaml").read_text()
+        settings = composed(command, ["mode=evaluate"] if command == "navigate" else [])
         named = f"`{command}`" in takes or f"`eldenet {command}`" in takes
-        assert named == ("\ntrusted_modules:" in settings), command
+        assert named == ("trusted_modules" in settings), command
     assert "`navigate` has no such" in takes_not
