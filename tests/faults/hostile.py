@@ -327,13 +327,6 @@ def _plan_of(folder: Path, text: str) -> Attack:
 
 
 @hostile
-def yaml_of_a_billion_aliases(folder: Path) -> Attack:
-    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
-    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 10)]
-    return _plan_of(folder, "\n".join([*lines, "rows: {a: {overrides: *a9}}"]))
-
-
-@hostile
 def yaml_nested_without_end(folder: Path) -> Attack:
     return _plan_of(folder, "rows: " + "[" * 20000 + "]" * 20000)
 
