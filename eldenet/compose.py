@@ -18,7 +18,6 @@ from eldenet.system.resources import prepare_environment
 
 prepare_environment()
 
-import hydra  # noqa: E402, F401
 from hydra._internal.config_loader_impl import ConfigLoaderImpl  # noqa: E402
 from hydra._internal.utils import create_config_search_path  # noqa: E402
 from hydra.core.config_search_path import SearchPathQuery  # noqa: E402

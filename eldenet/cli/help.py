@@ -16,7 +16,7 @@ from hydra.errors import OverrideParseException
 from eldenet.cli.commands import module_of
 from eldenet.compose import choices, command_of, compose_config, config_folder, groups, plain
 
-MEANT = {  # settings as other tools call them
+MEANT = {  # settings as other tools, and earlier states, call them
     "weights": "checkpoint",
     "model": "checkpoint",
     "input": "source",
