@@ -214,15 +214,14 @@ def study_models(s: BenchmarkSettings) -> Networks:
     Raises:
         ValueError: several measurements of each are asked for, or the study shows another study's latencies.
     """
-    from eldenet.config import training_composition
-    from eldenet.results.studies.latency import row_networks, write_costs
-    from eldenet.results.studies.plan import read_study
+    from eldenet.studies.latency import row_networks, write_costs
+    from eldenet.studies.plan import read_study
 
     lists = ("batches", "runtimes", "precisions", "threads")
     several = [name for name in lists if len(listed(getattr(s, name))) != 1]
     if several:
         raise ValueError(f"a study has one latency per row: give one value each for {', '.join(several)}")
-    study = read_study(str(s.study), training_composition())
+    study = read_study(str(s.study))
     if study.latency is not None and Path(study.latency).parent != Path():
         raise ValueError(
             f"{study.name} shows the latencies of another study, in {study.latency}: measure that one "

@@ -35,10 +35,9 @@ def report(s: ReportSettings) -> None:
         ValueError: the runs do not compare, or there are none.
     """
     if s.study is not None:
-        from eldenet.config import training_composition
-        from eldenet.results.studies.report import report_study
+        from eldenet.studies.report import report_study
 
-        return report_study(Path(s.study), training_composition())
+        return report_study(Path(s.study))
     if s.runs is None:
         raise ValueError("give runs=... on the command line")
     from eldenet.results.comparison import report_runs

@@ -7,13 +7,14 @@ Finished runs are skipped, killed ones resume, failed ones are listed at the end
 """
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED, listed, plain, resolver
-from eldenet.config import study_training, training_composition
+from eldenet.studies.plan import StudyRow, read_study
 
 #: What rows of our own studies need.
 GIVEN = (
@@ -45,30 +46,44 @@ def study(s: StudySettings) -> None:
         ValueError: after all of them, if some failed; at once for unknown rows, or seeds that no row has.
     """
     from eldenet.results.run_log import RunLog
-    from eldenet.results.studies.runner import StudySetup, run_study
+    from eldenet.studies.runner import run_row
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise ValueError(
             "a study runs in one process per row (-m): use torchrun for one run of eldenet.train"
         )
-    setup = StudySetup(
-        study=s.study,
-        runs=Path(s.output),
-        rows=s.rows,
-        job=s.row,
-        seeds=None if s.seeds is None else listed(s.seeds),
-        rerun=s.rerun,
-        given=s.given,
-    )
-    run_study(setup, study_training(), RunLog(Path.cwd()))
+    plan, log = read_study(s.study), RunLog(Path.cwd())
+    seeds = None if s.seeds is None else listed(s.seeds)
+    refuse_unknown_seeds(plan.chosen(s.rows), seeds)  # a sweep's job runs one of these rows
+    outcomes = [
+        outcome
+        for row in plan.chosen(s.rows if s.row is None else s.row)
+        for outcome in run_row(
+            plan, row, Path(s.output), seeds=seeds, rerun=s.rerun, given=s.given, say=log.say
+        )
+    ]
+    log.table(f"study {plan.name}", ("run", "status"), [(one.run, one.status) for one in outcomes])
+    failed = [f"{one.run} ({one.reason})" for one in outcomes if one.status == "failed"]
+    if failed:
+        raise ValueError(f"{len(failed)} of {len(outcomes)} runs failed: {'; '.join(failed)}")
+    log.say(f"tables: eldenet report study={s.study}")
+
+
+def refuse_unknown_seeds(rows: Sequence[StudyRow], seeds: Sequence[int] | None) -> None:
+    """Raise ValueError for seeds that none of ``rows`` has."""
+    known = sorted({seed for row in rows for seed in row.seeds})
+    unknown = [seed for seed in seeds or () if seed not in known]
+    if unknown:
+        raise ValueError(
+            f"seeds={unknown}: the chosen rows have the seeds {', '.join(map(str, known))}; add others in "
+            "sweep.yaml"
+        )
 
 
 @resolver("study_rows")
 def study_rows(study: str, rows: Any) -> str:
     """``${study_rows:folder,rows}``: the rows of a study as a sweep (configs/study.yaml)."""
-    from eldenet.results.studies.plan import read_study
-
-    return ",".join(row.name for row in read_study(study, training_composition()).chosen(plain(rows)))
+    return ",".join(row.name for row in read_study(study).chosen(plain(rows)))
 
 
 main = entry_point(StudySettings)(study)

@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.config import training_composition
 from eldenet.results.plots import pyplot_for_files, save_figure
-from eldenet.results.studies.matching import stored_runs
-from eldenet.results.studies.plan import Study, read_study
 from eldenet.results.tables import to_markdown
+from eldenet.studies.matching import stored_runs
+from eldenet.studies.plan import Study, read_study
 from eldenet.system.files import write_rows, write_text
 
 Curve = tuple[list[int], list[float]]  # epochs and values
@@ -277,7 +276,7 @@ def curves_plot(path: Path, runs: Mapping[str, Mapping[str, Any]]) -> None:
 
 def main(folder: Path) -> None:
     """Write the pages of a study."""
-    study = read_study(folder, training_composition())
+    study = read_study(folder)
     found = convergence(study)
     text = [f"# {study.name}: convergence", "", to_markdown(*found.by_row(), NOTES)]
     write_rows(folder / "convergence.csv", *found.by_run())

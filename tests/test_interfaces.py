@@ -23,7 +23,7 @@ from pathlib import Path
 command, *sys.argv[1:] = sys.argv[1:]
 found, calls = set(), []
 PACKAGE = str(Path(find_spec("eldenet").origin).parent)  # not "/eldenet/", where an environment may lie too
-TOP = ("compose.py", "config.py", "entry_point.py", "help.py")
+TOP = ("compose.py", "entry_point.py", "help.py")
 
 
 def watch(frame, event, argument):

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t
 
-from eldenet.config import training_composition
-from eldenet.results.studies.plan import Study, StudyRow, read_study
 from eldenet.results.tables import to_markdown
+from eldenet.studies.plan import Study, StudyRow, read_study
 
 HERE = Path(__file__).resolve().parent
 METRICS = ("delta1", "rmse", "abs_rel")
@@ -78,7 +77,7 @@ def margin(values: list[float]) -> float:
 
 def main() -> None:
     """Write ``effects.md`` beside this file."""
-    study = read_study(HERE, training_composition())
+    study = read_study(HERE)
     found = effects(study)
     rows = [
         [name, *(f"{values[metric]:+.3f}" for metric in METRICS)]

@@ -146,24 +146,20 @@ def a_model_that_fetches_weights(folder: Path) -> Attack:
 
 @hostile
 def a_study_that_names_write_text(folder: Path) -> Attack:
-    from eldenet.config import training_composition
-    from eldenet.results.studies.latency import row_networks
+    from eldenet.studies.latency import row_networks
 
     call = f"++model.head._target_=pathlib.Path.touch, '++model.head.self={folder}/ESCAPED'"
     study = write_plan(folder, "[model=eldenet_s]", f"[model=eldenet_s, {call}]")
-    assert training_composition()
     return folder / "sweep.yaml", lambda: list(row_networks(study).networks)
 
 
 @hostile
 def a_study_with_a_python_tag(folder: Path) -> Attack:
-
-    from eldenet.config import training_composition
-    from eldenet.results.studies.plan import read_study
+    from eldenet.studies.plan import read_study
 
     file = folder / "sweep.yaml"
     file.write_text(f"rows: !!python/object/apply:os.system ['touch {folder / 'ESCAPED'}']\n")
-    return file, lambda: read_study(folder, training_composition())
+    return file, lambda: read_study(folder)
 
 
 @hostile
@@ -318,12 +314,10 @@ def hdf5_of_a_terabyte(folder: Path) -> Attack:
 
 
 def _plan_of(folder: Path, text: str) -> Attack:
-
-    from eldenet.config import training_composition
-    from eldenet.results.studies.plan import read_study
+    from eldenet.studies.plan import read_study
 
     (folder / "sweep.yaml").write_text(text)
-    return folder / "sweep.yaml", lambda: repr(read_study(folder, training_composition()))
+    return folder / "sweep.yaml", lambda: repr(read_study(folder))
 
 
 @hostile

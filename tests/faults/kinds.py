@@ -371,23 +371,16 @@ def _study(root: Path) -> None:
 
 def _tables(root: Path) -> Any:
     """The tables of a study."""
+    from eldenet.studies.plan import read_study
+    from eldenet.studies.tables import build_blocks
 
-    from eldenet.config import training_composition
-    from eldenet.results.studies.plan import read_study
-    from eldenet.results.studies.tables import build_blocks
-
-    return [
-        (block.titles, block.rows, block.notes)
-        for block in build_blocks(read_study(root, training_composition()))
-    ]
+    return [(block.titles, block.rows, block.notes) for block in build_blocks(read_study(root))]
 
 
 def _plan(root: Path) -> Any:
+    from eldenet.studies.plan import read_study
 
-    from eldenet.config import training_composition
-    from eldenet.results.studies.plan import read_study
-
-    study = read_study(root, training_composition())
+    study = read_study(root)
     return study.rows, study.overrides, study.reference, study.columns, study.epoch, study.plots
 
 
@@ -431,13 +424,13 @@ def _write_expected(path: Path) -> None:
 
 
 def _read_expected(path: Path) -> Any:
-    from eldenet.results.studies.tables import read_expected
+    from eldenet.studies.tables import read_expected
 
     return read_expected(path.parent)
 
 
 def _write_latencies(root: Path) -> None:
-    from eldenet.results.studies.latency import COLUMNS, FACTS
+    from eldenet.studies.latency import COLUMNS, FACTS
 
     root.mkdir(parents=True, exist_ok=True)
     study = write_plan(root, "columns:", "latency: benchmark.csv\ncolumns:")
@@ -451,11 +444,10 @@ def _write_latencies(root: Path) -> None:
 
 def _read_latencies(root: Path) -> Any:
 
-    from eldenet.config import training_composition
-    from eldenet.results.studies.latency import Latencies
-    from eldenet.results.studies.plan import read_study
+    from eldenet.studies.latency import Latencies
+    from eldenet.studies.plan import read_study
 
-    found = Latencies.read(read_study(root, training_composition()))
+    found = Latencies.read(read_study(root))
     assert found is not None
     return found.of("small"), found.title, found.line, found.lines["small"]["network"]
 

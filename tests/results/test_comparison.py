@@ -9,13 +9,12 @@ from pathlib import Path
 import pytest
 
 from eldenet.compose import compose
-from eldenet.config import training_composition
 from eldenet.configurable import instantiate
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.comparison import find_runs, group_rows, table_of
 from eldenet.results.run_log import RunLog
-from eldenet.results.studies.report import write_study_report
 from eldenet.results.tables import protocol_line, to_csv, to_latex, to_markdown
+from eldenet.studies.report import write_study_report
 from eldenet.train import TrainSettings
 
 RUN = {
@@ -290,7 +289,7 @@ def width_in_points(tabular: str) -> float:
 def test_the_latex_of_a_study_fits_a_page(name, tmp_path):
     shutil.copytree(EXPERIMENTS / "table3_rivals", tmp_path / "table3_rivals")  # table 2 has rows of it
     shutil.copytree(EXPERIMENTS / name, tmp_path / name)
-    write_study_report(tmp_path / name, training_composition())
+    write_study_report(tmp_path / name)
     tables = (tmp_path / name / "results.tex").read_text().split(r"\end{tabular}}")[:-1]
     assert tables
     assert max(map(width_in_points, tables)) <= 345

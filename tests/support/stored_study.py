@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.config import training_composition
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.results.packed_runs import RUNS, add_record, read_records
-from eldenet.results.studies.matching import run_overrides
-from eldenet.results.studies.plan import Study, read_study
-from eldenet.results.studies.tables import build_blocks
+from eldenet.studies.matching import run_overrides
+from eldenet.studies.plan import Study, read_study, training_settings
+from eldenet.studies.tables import build_blocks
 
 PLAN = """
 overrides: [data=rooms, "data.frames={train: 16, val: 4, test: 6}", trainer.epochs=3]
@@ -30,14 +29,12 @@ IMAGES = [f"room/{index}" for index in range(40)]
 
 def write_plan(folder: Path, old: str = "", new: str = "") -> Study:
     (folder / "sweep.yaml").write_text(PLAN.replace(old, new))
-    return read_study(folder, training_composition())
+    return read_study(folder)
 
 
 def settings_of(overrides: Sequence[str], name: str, seed: int = 0) -> dict[str, Any]:
     """Resolved settings of a run of a study."""
-    return training_composition().resolve(
-        run_overrides(overrides, Path("f"), Path("r"), name=name, seed=seed)
-    )
+    return training_settings(run_overrides(overrides, Path("f"), Path("r"), name=name, seed=seed))
 
 
 def record_of(study: Study, name: str, seed: int, delta1: np.ndarray, **changes: Any) -> dict[str, Any]:

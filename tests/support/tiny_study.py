@@ -5,9 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from eldenet.config import study_training, training_composition
-from eldenet.results.studies.plan import Study, read_study
-from eldenet.results.studies.runner import Outcome, StudySetup, run_row
+from eldenet.studies.plan import Study, read_study
+from eldenet.studies.runner import Outcome, run_row
 
 TINY = """
 overrides:
@@ -40,7 +39,6 @@ EXPECTED = """row,block,status,abs_rel,rmse,delta1,protocol,source
 eldenet,scratch,,,0.5,0.9,"NYU, 654 images",a paper
 unknown,scratch,no code identified,,,,,
 """
-TRAINING = study_training()
 
 
 def write_tiny_study(folder: Path, cache: str) -> Path:
@@ -66,11 +64,11 @@ def run(
 ) -> list[Outcome]:
     """Run one row."""
     (row,) = study.chosen(name)
-    return run_row(study, row, StudySetup(study.folder, runs, **options), TRAINING, say)
+    return run_row(study, row, runs, say=say, **options)
 
 
 def run_all(folder: Path, runs: Path) -> tuple[dict[str, str], list[str]]:
     """Statuses of all runs, and what was printed."""
-    study, said = read_study(folder, training_composition()), []
+    study, said = read_study(folder), []
     outcomes = [outcome for row in study.rows for outcome in run(study, row.name, runs, said.append)]
     return {outcome.run: outcome.status for outcome in outcomes}, said

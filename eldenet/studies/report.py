@@ -6,10 +6,10 @@ from pathlib import Path
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results.plots import differences_plot, pareto_plot
 from eldenet.results.run_log import RunLog
-from eldenet.results.studies.latency import Latencies
-from eldenet.results.studies.plan import Composition, Study, read_study
-from eldenet.results.studies.tables import Block, build_blocks
 from eldenet.results.tables import WORDS, to_csv, to_latex, to_markdown
+from eldenet.studies.latency import Latencies
+from eldenet.studies.plan import Study, read_study
+from eldenet.studies.tables import Block, build_blocks
 from eldenet.system import escaping
 from eldenet.system.extras import require
 from eldenet.system.files import write_rows, write_text
@@ -17,10 +17,10 @@ from eldenet.system.files import write_rows, write_text
 Cells = tuple[list[str], list[list[str]]]  # titles, rows
 
 
-def report_study(folder: Path, composition: Composition) -> None:
+def report_study(folder: Path) -> None:
     """Write the report of a study and print its tables."""
     log = RunLog(folder)
-    for block in write_study_report(folder, composition):
+    for block in write_study_report(folder):
         for number, (titles, rows, core) in enumerate(block.apart()):
             log.table("" if number else block.name, titles, rows, core)
         for reason, names in block.without_figures().items():
@@ -29,9 +29,9 @@ def report_study(folder: Path, composition: Composition) -> None:
     log.say(f"written to {folder / 'results'}.md, .csv and .tex")
 
 
-def write_study_report(folder: str | Path, composition: Composition) -> list[Block]:
+def write_study_report(folder: str | Path) -> list[Block]:
     """Write ``results.md``, ``.csv``, ``.tex`` and the plots of a study from what is stored in its folder."""
-    study = read_study(folder, composition)
+    study = read_study(folder)
     if study.plots:
         require("the report of a study", "matplotlib")
     blocks = build_blocks(study)

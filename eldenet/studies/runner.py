@@ -2,69 +2,30 @@
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+from eldenet.compose import compose
 from eldenet.results.fingerprints import fingerprints, run_differences
 from eldenet.results.packed_runs import RUNS, add_record, pack
-from eldenet.results.run_log import RunLog
 from eldenet.results.run_record import read_run
-from eldenet.results.studies.matching import refuse_missing, run_overrides, search_differences
-from eldenet.results.studies.plan import (
+from eldenet.studies.matching import refuse_missing, run_overrides, search_differences
+from eldenet.studies.plan import (
     RATE,
-    Composition,
     Study,
     StudyRow,
     rate_name,
-    read_study,
     run_name,
+    training_settings,
 )
 from eldenet.system.files import FolderInUse, sole_writer, write_text
+from eldenet.train import TrainSettings, train
+from eldenet.training.resume import check_finished
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class StudySetup:
-    """Which runs of a study are trained, and where.
-
-    Attributes:
-        study: folder of ``sweep.yaml``; the results are stored there.
-        runs: run folders are made below ``<runs>/<study>/<row>``.
-        rows: names of the rows to run; None: all.
-        job: the one row of a sweep's job; None: all of ``rows``.
-        seeds: those of each row's seeds to run; None: all.
-        rerun: also train rows that are stored but not below ``runs``: for their weights, which are not
-            stored, or because other settings or weights made them; their stored results are replaced.
-        given: name -> value of what rows ask for.
-    """
-
-    study: str | Path
-    runs: Path
-    rows: Sequence[str] | None = None
-    job: str | None = None
-    seeds: Sequence[int] | None = None
-    rerun: bool = False
-    given: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Training:
-    """How a run is trained; the first two take the overrides of ``eldenet.train``.
-
-    Attributes:
-        train: trains in the run folder; resumes what was begun there.
-        check_finished: compares a finished run with the overrides; takes its place, for messages, and its
-            ``run.json``. Raises ValueError if it was made with other settings, weights or frames,
-            FileNotFoundError if the frames are not here.
-        composition: how overrides become settings.
-    """
-
-    train: Callable[[Sequence[str], Path], object]
-    check_finished: Callable[[Sequence[str], Path, Mapping[str, Any]], object]
-    composition: Composition
 
 
 @dataclass(frozen=True)
@@ -76,66 +37,48 @@ class Outcome:
     reason: str = ""
 
 
-def run_study(setup: StudySetup, training: Training, log: RunLog) -> None:
-    """Run the chosen rows one after the other and print what became of each run.
-
-    Raises:
-        ValueError: after all of them, if some failed; at once for unknown rows, or seeds that no row has.
-    """
-    study = read_study(setup.study, training.composition)
-    refuse_unknown_seeds(study.chosen(setup.rows), setup.seeds)  # a sweep's job runs one of these rows
-    rows = study.chosen(setup.rows if setup.job is None else setup.job)
-    outcomes = [outcome for row in rows for outcome in run_row(study, row, setup, training, log.say)]
-    log.table(f"study {study.name}", ("run", "status"), [(one.run, one.status) for one in outcomes])
-    failed = [f"{one.run} ({one.reason})" for one in outcomes if one.status == "failed"]
-    if failed:
-        raise ValueError(f"{len(failed)} of {len(outcomes)} runs failed: {'; '.join(failed)}")
-    log.say(f"tables: eldenet report study={setup.study}")
-
-
-def refuse_unknown_seeds(rows: Sequence[StudyRow], seeds: Sequence[int] | None) -> None:
-    """Raise ValueError for seeds that none of ``rows`` has."""
-    known = sorted({seed for row in rows for seed in row.seeds})
-    unknown = [seed for seed in seeds or () if seed not in known]
-    if unknown:
-        raise ValueError(
-            f"seeds={unknown}: the chosen rows have the seeds {', '.join(map(str, known))}; add others in "
-            "sweep.yaml"
-        )
-
-
 def run_row(
-    study: Study, row: StudyRow, setup: StudySetup, training: Training, say: Say = print
+    study: Study,
+    row: StudyRow,
+    runs: Path,
+    *,
+    seeds: Sequence[int] | None = None,
+    rerun: bool = False,
+    given: Mapping[str, Any] = MappingProxyType({}),
+    say: Say = print,
 ) -> list[Outcome]:
     """All runs of one row: the trials of learning rates, then one run per seed.
 
     Args:
         study: that the row is of; a row taken from another study is run and stored as that one's.
         row: of it.
-        setup: seeds, folder, ``rerun`` and what is given.
-        training: trains.
+        runs: run folders are made below ``<runs>/<study>/<row>``.
+        seeds: those of the row's seeds to run; None: all.
+        rerun: also train what is stored but not below ``runs``: for its weights, which are not stored, or
+            because other settings or weights made it; the stored results are replaced.
+        given: name -> value of what the row asks for.
         say: prints a line.
     """
     study = study.owner_of(row)
-    seeds = [seed for seed in row.seeds if setup.seeds is None or seed in setup.seeds]
+    chosen = [seed for seed in row.seeds if seeds is None or seed in seeds]
     shared, where = study.overrides_of(row), f"{study.name}/{row.name}"
     for name, setting in row.given.items():
-        value = setup.given.get(name)
+        value = given.get(name)
         if value is None:
-            if seeds:
-                plus = "" if name in setup.given else "+"  # Hydra's sign for a new name
+            if chosen:
+                plus = "" if name in given else "+"  # Hydra's sign for a new name
                 say(f"{where}: {row.not_given} ({plus}given.{name}=...)")
-            return [Outcome(f"{row.name}/seed{seed}", row.not_given) for seed in seeds]
+            return [Outcome(f"{row.name}/seed{seed}", row.not_given) for seed in chosen]
         shared.append(f"{setting}='{value}'")
-    if not seeds:
+    if not chosen:
         return []
-    run = _RowRun(study, row, setup, training, say, setup.runs / study.name)
+    run = _RowRun(study, row, rerun, say, runs / study.name)
     try:
         with sole_writer(run.folder):
-            return run.run_seeds(seeds, shared)
+            return run.run_seeds(chosen, shared)
     except FolderInUse as error:
         say(f"{where}: {error}")
-        return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in seeds]
+        return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in chosen]
 
 
 @dataclass(frozen=True)
@@ -144,8 +87,7 @@ class _RowRun:
 
     study: Study
     row: StudyRow
-    setup: StudySetup
-    training: Training
+    rerun: bool
     say: Say
     runs: Path
 
@@ -181,10 +123,10 @@ class _RowRun:
         name, folder = run_name(self.row, seed), self.folder / f"seed{seed}"
         overrides = self.overrides(shared, folder, seed)
         try:
-            if not self.setup.rerun and self._finished(overrides, seed):
+            if not self.rerun and self._finished(overrides, seed):
                 return Outcome(name, "finished before")
             refuse_missing(self.row, self.runs, seed)
-            self.training.train(overrides, folder)
+            train(compose(TrainSettings, overrides))
             pack(folder, self.study.folder, name)
         except Exception as error:
             return self.failed(folder, name, error)
@@ -202,10 +144,10 @@ class _RowRun:
             return False
         note = ""
         try:
-            different = run_differences(self.study.composition.resolve(overrides), record)
+            different = run_differences(training_settings(overrides), record)
             if different:
                 raise ValueError(f"{name} is stored with other settings: {'; '.join(different[:5])}")
-            self.training.check_finished(overrides, self.study.folder / f"{RUNS}, {name}", record)
+            check_finished(self.study.folder / f"{RUNS}, {name}", record, training_settings(overrides))
         except FileNotFoundError as error:
             note = f"; its frames are not here to be compared ({str(error).splitlines()[0]})"
         except ValueError as error:
@@ -234,7 +176,7 @@ class _RowRun:
         if not study.searches_rate(row):
             return row.learning_rate
         trial = [*shared, *study.rate_overrides, *row.rate_overrides]
-        settings = study.composition.resolve(self.overrides(trial, self.folder / "trial"))
+        settings = training_settings(self.overrides(trial, self.folder / "trial"))
         rule = {"candidates": list(study.learning_rates), "further": FURTHER, "config": settings}
         kept = self._kept_rate(settings)
         if kept is not None:
@@ -275,7 +217,7 @@ class _RowRun:
         if kept is None:
             return None
         different = search_differences(self.study.learning_rates, trial, kept)
-        if different and not self.setup.rerun:
+        if different and not self.rerun:
             raise ValueError(
                 f"the stored learning rate was chosen by another rule ({'; '.join(different[:5])}). Restore "
                 "that rule, or choose and train again with rerun=true, which replaces what is stored"
@@ -286,7 +228,7 @@ class _RowRun:
         """``run.json`` of a trial; None: it diverged."""
         folder = self.folder / f"lr{rate:g}"
         try:
-            self.training.train(self.overrides([*trial, f"{RATE}={rate}"], folder), folder)
+            train(compose(TrainSettings, self.overrides([*trial, f"{RATE}={rate}"], folder)))
         except FloatingPointError:
             return None
         return read_run(folder)

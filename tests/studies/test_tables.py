@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from support.stored_study import change_run, figures, notes, store, table, write_plan
 
-from eldenet.config import training_composition
 from eldenet.results import paired_intervals
 from eldenet.results.packed_runs import RUNS, read_records, write_records
-from eldenet.results.studies.plan import Study
-from eldenet.results.studies.report import write_study_report
-from eldenet.results.studies.tables import build_blocks
+from eldenet.studies.plan import Study
+from eldenet.studies.report import write_study_report
+from eldenet.studies.tables import build_blocks
 from eldenet.system.files import write_rows
 
 DIFFERENCE = "delta1 - small's [95 %]"
@@ -63,7 +62,7 @@ def test_the_plot_shows_the_differences_of_the_table(study: Study) -> None:
     assert found.mean == pytest.approx(0.2)
     assert found.text == table(study)["large"][DIFFERENCE]
     write_plan(study.folder, "rows:", "plots: [differences]\nrows:")
-    write_study_report(study.folder, training_composition())
+    write_study_report(study.folder)
     assert (study.folder / "differences.png").stat().st_size > 1000
     assert "(differences.png)" in (study.folder / "results.md").read_text()
     assert not (study.folder / "pareto.png").exists()
@@ -157,7 +156,7 @@ def test_latencies_of_another_network_are_refused(study: Study, tmp_path: Path) 
     line["network"] = json.dumps(config)
     write_rows(file, list(line), [list(line.values())])
     assert table(study)["small"]["latency [ms] (onnxruntime) ↓"] == "3.25"
-    write_study_report(tmp_path, training_composition())
+    write_study_report(tmp_path)
     text = (tmp_path / "results.md").read_text()
     assert "latency: median of interleaved rounds, onnxruntime, fp32, 1 threads, cpu (some)" in text
     assert "costs: torch" not in text

@@ -10,7 +10,7 @@ from typing import Any
 from eldenet.results.fingerprints import run_differences
 from eldenet.results.packed_runs import RUNS
 from eldenet.results.run_record import RUN_FILE, check_entries, scored_run
-from eldenet.results.studies.plan import RATE, Study, StudyRow, rate_name, run_name
+from eldenet.studies.plan import RATE, Study, StudyRow, rate_name, run_name, training_settings
 
 #: Entries of a stored run.
 NEEDED: tuple[str, ...] = (
@@ -130,7 +130,7 @@ def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
 
 def _planned(study: Study, row: StudyRow, shared: Sequence[str], *, seed: int) -> dict[str, Any]:
     nowhere = Path("unused")
-    return study.composition.resolve(run_overrides(shared, nowhere, nowhere, name=row.name, seed=seed))
+    return training_settings(run_overrides(shared, nowhere, nowhere, name=row.name, seed=seed))
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.tiny_study import TRAINING, cells, run, run_all, short
+from support.tiny_study import cells, run, run_all, short
 
 from eldenet.benchmark import BenchmarkSettings, benchmark
 from eldenet.compose import compose
-from eldenet.config import training_composition
 from eldenet.deploy.benchmarking import measure as measuring
 from eldenet.results.packed_runs import RUNS, add_record, read_records
-from eldenet.results.studies.matching import run_overrides
-from eldenet.results.studies.plan import read_study
-from eldenet.results.studies.report import write_study_report
+from eldenet.studies.matching import run_overrides
+from eldenet.studies.plan import read_study, training_settings
+from eldenet.studies.report import write_study_report
 from eldenet.study import StudySettings
 from eldenet.system.files import sole_writer
+from eldenet.train import TrainSettings, train
 
 
 def add_to_plan(study: Path, text: str = "", old: str = "", new: str = "", one_seed: bool = False) -> None:
@@ -66,7 +66,7 @@ def test_a_study_is_trained_once_and_reported(tiny, tmp_path):
 
 
 def report_is_right(folder: Path) -> None:
-    write_study_report(folder, training_composition())
+    write_study_report(folder)
     rows = cells(folder)
     stored = read_records(folder / RUNS)
     values = [stored[f"eldenet_s/seed{seed}"]["metrics"]["rmse"] for seed in (0, 1)]
@@ -99,12 +99,12 @@ def test_a_row_of_another_study_is_run_once(tiny, tmp_path):
     other = tmp_path / "other"
     other.mkdir()
     (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny, block: another}}")
-    ours, theirs = read_study(other, training_composition()), read_study(tiny, training_composition())
+    ours, theirs = read_study(other), read_study(tiny)
     (taken,), (row,) = ours.rows, theirs.chosen("eldenet")
     assert (taken.block, taken.overrides) == ("another", row.overrides)
     assert [one.status for one in run(ours, "eldenet", tmp_path / "runs")] == ["done"]
     assert [one.status for one in run(theirs, "eldenet", tmp_path / "runs")] == ["finished before"]
-    write_study_report(other, training_composition())
+    write_study_report(other)
     assert cells(other)["another/eldenet"]["seeds"] == "1"
     assert not (other / RUNS).exists()
 
@@ -115,17 +115,17 @@ def test_a_study_is_found_from_inside_its_folder(tiny, tmp_path, monkeypatch):
     (other / "deeper").mkdir(parents=True)
     (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
     monkeypatch.chdir(other)
-    study = read_study(".", training_composition())
+    study = read_study(".")
     (row,) = study.rows
     assert (study.name, row.owner.name) == ("other", "tiny")
     assert study.owner_of(row).folder.resolve() == tiny
-    write_study_report(".", training_composition())
+    write_study_report(".")
     assert cells(other)["scratch/eldenet"]["seeds"] == "not run"
     text = (other / "results.md").read_text()
     assert text.startswith("# other\n")
     assert "study=other`" in text
     monkeypatch.chdir(other / "deeper")
-    assert read_study("..", training_composition()).name == "other"
+    assert read_study("..").name == "other"
 
 
 def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monkeypatch):
@@ -135,7 +135,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monk
     rows += "  plain: {overrides: [model=eldenet_s, model.backbone.shortcuts=false]}\n"
     rows += '  larger: {overrides: [model=eldenet_s, "data.input_size=[64,80]"]}\nlatency: benchmark.csv\n'
     add_to_plan(tiny, rows, one_seed=True)
-    run(read_study(tiny, training_composition()), "same", tmp_path / "runs")
+    run(read_study(tiny), "same", tmp_path / "runs")
 
     def measure(*words: str, output: str = "out") -> list[dict]:
         options = [f"study={tiny}", "rounds=1", "seconds=0.01", "memory=false"]
@@ -151,7 +151,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monk
     assert measured["larger"]["latency_ms_p50"] != measured["eldenet_s"]["latency_ms_p50"]
     assert json.loads(measured["plain"]["network"])["backbone"]["shortcuts"] is False
     assert float(measured["same"]["latency_ms_p50"]) == rows[0]["latency_ms_p50"]
-    write_study_report(tiny, training_composition())
+    write_study_report(tiny)
     assert cells(tiny)["scratch/same"]["latency [ms] (torch) ↓"] == f"{rows[0]['latency_ms_p50']:.2f}"
     assert "input 32 x 40 or 64 x 80, each row at its own" in (tiny / "results.md").read_text()
     again = measure("runtimes=[torch]")
@@ -164,7 +164,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monk
     assert (tiny / "benchmark.csv").read_bytes() == before
     (tiny / "benchmark.csv").write_bytes(before.splitlines(keepends=True)[0])
     with pytest.raises(ValueError, match="has no line: eldenet benchmark"):
-        write_study_report(tiny, training_composition())
+        write_study_report(tiny)
     add_to_plan(tiny, old='"data.input_size=[64,80]"', new="data.input_size=null")
     with pytest.raises(ValueError, match=r"row larger: data\.input_size is null"):
         measure("runtimes=[torch]")
@@ -175,7 +175,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monk
 
 def test_a_killed_run_resumes(tiny, tmp_path):
     """A run folder without run.json holds a checkpoint to resume from."""
-    study = read_study(tiny, training_composition())
+    study = read_study(tiny)
     assert run(study, "eldenet", tmp_path / "runs")[0].status == "done"
     folder = tmp_path / "runs/tiny/eldenet/seed0"
     weights = (folder / "model/model.safetensors").stat().st_mtime_ns
@@ -187,22 +187,22 @@ def test_a_killed_run_resumes(tiny, tmp_path):
     # a finished run is left as it is; with other settings it is refused
     shared = [*study.overrides_of(study.chosen("eldenet")[0]), "optimizer.lr=1.0e-3"]
     before = (folder / "run.json").read_bytes()
-    TRAINING.train(run_overrides(shared, folder, tmp_path, name="eldenet", seed=0), folder)
+    train(compose(TrainSettings, run_overrides(shared, folder, tmp_path, name="eldenet", seed=0)))
     assert (folder / "run.json").read_bytes() == before
     for other, word in (("optimizer.lr=0.5", "optimizer.lr"), ("data.frames.train=12", "data.frames.train")):
         changed = run_overrides([*shared, other], folder, tmp_path, name="eldenet", seed=0)
         with pytest.raises(ValueError, match=rf"holds a finished run with other settings: {word}"):
-            TRAINING.train(changed, folder)
+            train(compose(TrainSettings, changed))
     (folder / "run.json").unlink()  # as if it had been killed before its end
     changed = run_overrides([*shared, "loss=l1_sparse"], folder, tmp_path, name="eldenet", seed=0)
     with pytest.raises(ValueError, match=r"run begun with other settings: loss"):
-        TRAINING.train(changed, folder)
+        train(compose(TrainSettings, changed))
 
 
 def test_a_message_names_the_setting_that_a_row_needs(tiny, tmp_path):
     """A name that configs/study.yaml does not have needs Hydra's plus."""
     add_to_plan(tiny, "  mine: {given: {mine: data.root}}\n")
-    study, said = read_study(tiny, training_composition()), []
+    study, said = read_study(tiny), []
     given = compose(StudySettings, [f"study={tiny}"]).given
     for name in ("elsewhere", "mine"):
         run(study, name, tmp_path / "runs", said.append, given=given)
@@ -212,7 +212,7 @@ def test_a_message_names_the_setting_that_a_row_needs(tiny, tmp_path):
 
 
 def test_a_row_is_run_by_one_process_at_a_time(tiny, tmp_path):
-    study, folder = read_study(tiny, training_composition()), tmp_path / "runs/tiny/eldenet"
+    study, folder = read_study(tiny), tmp_path / "runs/tiny/eldenet"
     with sole_writer(folder):
         outcomes = run(study, "eldenet", tmp_path / "runs")
     assert [outcome.status for outcome in outcomes] == ["running elsewhere"]
@@ -225,7 +225,7 @@ def test_a_row_that_starts_from_another_needs_its_weights(tiny, tmp_path):
     start = '"weights={runs}/eldenet_s/seed0"'
     row = f"  next: {{overrides: [model=eldenet_s, {start}], learning_rate: 1.0e-3}}\n"
     add_to_plan(tiny, row, one_seed=True)
-    study = read_study(tiny, training_composition())
+    study = read_study(tiny)
 
     def status(name: str, runs: str, **options: bool) -> str:
         outcome = run(study, name, tmp_path / runs, **options)[0]
@@ -256,8 +256,8 @@ def test_without_its_frames_a_stored_run_is_compared_by_settings(tmp_path, monke
     monkeypatch.delenv("ELDENET_DATA", raising=False)
     plan = "rows: {small: {overrides: [data=nyu_labelled, model=eldenet_s]}}"
     (tmp_path / "sweep.yaml").write_text(plan)
-    study, said = read_study(tmp_path, training_composition()), []
-    settings = training_composition().resolve(
+    study, said = read_study(tmp_path), []
+    settings = training_settings(
         run_overrides(study.rows[0].overrides, tmp_path, tmp_path, name="small", seed=0)
     )
     add_record(tmp_path, "small/seed0", {"metrics": {}, "config": settings})
@@ -265,7 +265,7 @@ def test_without_its_frames_a_stored_run_is_compared_by_settings(tmp_path, monke
     assert outcome.status == "finished before"
     assert "not here to be compared" in said[-1]
     (tmp_path / "sweep.yaml").write_text(plan.replace("model=eldenet_s", "model=eldenet_s, trainer.epochs=3"))
-    (outcome,) = run(read_study(tmp_path, training_composition()), "small", tmp_path / "runs")
+    (outcome,) = run(read_study(tmp_path), "small", tmp_path / "runs")
     assert outcome.status == "failed"
     assert "trainer.epochs=3" in outcome.reason
     assert "rerun=true" in outcome.reason

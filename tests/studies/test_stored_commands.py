@@ -8,7 +8,7 @@ import yaml
 
 from eldenet.results.packed_runs import RUNS, read_records
 
-EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 PLANS = sorted(EXPERIMENTS.glob("*/sweep.yaml"))
 ROWS = re.compile(r"\brows?=\[?([\w,]+)")
 TYPED = re.compile(r"study=experiments/(\w+)[^`\n]*?\brows?='?\[?([\w,]+)")

@@ -6,10 +6,9 @@ from typing import Any
 import pytest
 from support.stored_study import change_run, figures, notes, settings_of, store, table, write_plan
 
-from eldenet.config import training_composition
 from eldenet.results.fingerprints import differences, fingerprint, run_differences
 from eldenet.results.packed_runs import add_record
-from eldenet.results.studies.plan import Study, read_study
+from eldenet.studies.plan import Study, read_study
 
 
 @pytest.fixture
@@ -132,7 +131,7 @@ def test_a_note_names_rows_whose_rate_another_search_chose(
     assert not any("trials" in note for note in notes(study))
     plan = tmp_path / "sweep.yaml"
     plan.write_text(plan.read_text().replace(old, new))
-    study = read_study(tmp_path, training_composition())
+    study = read_study(tmp_path)
     choose(study, "large", {"0.0003": 0.4, "0.001": 0.5, "0.003": 0.3})
     found = [note for note in notes(study) if "trials" in note]
     assert [note.partition("rerun=true: ")[2] for note in found] == ([words] if words else [])

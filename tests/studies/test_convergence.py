@@ -7,7 +7,7 @@ from support.scripts import load_scripts
 from support.stored_study import figures, history, store, write_plan
 
 from eldenet.compose import compose
-from eldenet.results.studies.plan import Study
+from eldenet.studies.plan import Study
 from eldenet.train import TrainSettings
 
 (script,) = load_scripts("", "convergence")

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.configurable import instantiate
 from eldenet.results.fingerprints import differences
 from eldenet.results.run_record import check_figures
-from eldenet.results.studies.matching import run_overrides
-from eldenet.results.studies.plan import Study, StudyRow
+from eldenet.studies.matching import run_overrides
+from eldenet.studies.plan import Study, StudyRow, training_settings
 from eldenet.system.errors import reading
 from eldenet.system.files import read_table, write_rows
 
@@ -56,7 +57,7 @@ def row_networks(study: Study) -> RowNetworks:
     for row in study.rows:
         nowhere = Path("unused")
         overrides = run_overrides(study.overrides_of(row), nowhere, nowhere, name=row.name, seed=0)
-        config = study.composition.resolve(overrides)
+        config = training_settings(overrides)
         settings, size = config["model"], config["data"]["input_size"]
         if size is None:
             raise ValueError(
@@ -66,7 +67,7 @@ def row_networks(study: Study) -> RowNetworks:
         name = first.setdefault(json.dumps([settings, size], sort_keys=True, default=str), row.name)
         if name == row.name:
             torch.manual_seed(0)  # a benchmark identifies networks by their weights
-            found.networks[name] = study.composition.build_model(settings).eval()
+            found.networks[name] = instantiate(settings, "model").eval()
             found.settings[name], found.sizes[name] = settings, tuple(size)
         found.network_of[row.name] = name
     return found

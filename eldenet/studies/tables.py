@@ -11,10 +11,10 @@ from eldenet.results import paired_intervals
 from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mixtures
 from eldenet.results.paired_intervals import Difference
 from eldenet.results.run_record import check_figures
-from eldenet.results.studies.latency import Latencies
-from eldenet.results.studies.matching import outdated_search, stored_choice, stored_runs
-from eldenet.results.studies.plan import Study, StudyRow, run_name
 from eldenet.results.tables import CORE, heading, number, protocol_line, training_line
+from eldenet.studies.latency import Latencies
+from eldenet.studies.matching import outdated_search, stored_choice, stored_runs
+from eldenet.studies.plan import Study, StudyRow, run_name
 from eldenet.system.errors import reading
 from eldenet.system.files import read_table
 

@@ -1,17 +1,18 @@
 """The learning rate of a row: one rule for every network; a choice by another rule is refused."""
 
 import json
-from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from eldenet.config import training_composition
 from eldenet.results.fingerprints import fingerprints
 from eldenet.results.packed_runs import RUNS, read_records
-from eldenet.results.studies.plan import Study, read_study
-from eldenet.results.studies.runner import Outcome, StudySetup, Training, run_row
+from eldenet.studies import runner
+from eldenet.studies.plan import Study, read_study
+from eldenet.studies.runner import Outcome
+from eldenet.train import TrainSettings
 
 PLAN = """
 overrides: [data=rooms]
@@ -28,7 +29,7 @@ Curve = dict[float, float | None]
 @pytest.fixture
 def study(tmp_path: Path) -> Study:
     (tmp_path / "sweep.yaml").write_text(PLAN)
-    return read_study(tmp_path, training_composition())
+    return read_study(tmp_path)
 
 
 class Trials:
@@ -38,8 +39,8 @@ class Trials:
         self.curve = curve
         self.tried: list[tuple[float, int]] = []
 
-    def train(self, overrides: Sequence[str], folder: Path) -> None:
-        settings = training_composition().resolve(overrides)
+    def train(self, s: TrainSettings) -> None:
+        settings, folder = asdict(s), Path(s.output)
         rate, score = settings["optimizer"]["lr"], self.curve[settings["optimizer"]["lr"]]
         if folder.name.startswith("lr"):
             self.tried.append((rate, settings["trainer"]["epochs"]))
@@ -55,9 +56,11 @@ class Trials:
     def run(
         self, study: Study, runs: Path, name: str = "small", rerun: bool = False, **given: object
     ) -> Outcome:
-        setup = StudySetup(study.folder, runs, rerun=rerun, given=given)
-        training = Training(self.train, lambda overrides, where, record: None, training_composition())
-        return run_row(study, study.chosen(name)[0], setup, training, lambda text: None)[0]
+        row = study.chosen(name)[0]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(runner, "train", self.train)
+            patch.setattr(runner, "check_finished", lambda folder, record, settings: None)
+            return runner.run_row(study, row, runs, rerun=rerun, given=given, say=lambda text: None)[0]
 
 
 def stored(folder: Path, name: str) -> dict[str, Any]:
@@ -107,7 +110,7 @@ def test_a_choice_by_another_rule_is_refused(study, tmp_path, old: str, new: str
     trials = Trials(GOOD)
     trials.run(study, tmp_path / "runs")
     (tmp_path / "sweep.yaml").write_text(PLAN.replace(old, new))
-    reason = trials.run(read_study(tmp_path, training_composition()), tmp_path / "runs").reason
+    reason = trials.run(read_study(tmp_path), tmp_path / "runs").reason
     assert "chosen by another rule (" in reason
     assert word in reason
 
@@ -137,7 +140,7 @@ def test_trials_wait_for_the_row_that_they_start_from(study, tmp_path, place: st
     """A run that is still training has weights already, but not those that will be compared."""
     trials = Trials(GOOD)
     (tmp_path / "sweep.yaml").write_text(PLAN + f'  next: {{overrides: ["weights={place}"]}}\n')
-    study = read_study(tmp_path, training_composition())
+    study = read_study(tmp_path)
     begun = tmp_path / "runs" / study.name / "small/seed0"
     (begun / "model").mkdir(parents=True)
     (begun / "model/model.safetensors").write_bytes(b"half")

@@ -2,15 +2,17 @@
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from eldenet.compose import compose
 from eldenet.configurable import check_arguments
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.results.packed_runs import RUNS, read_records
 from eldenet.system.files import read_yaml
+from eldenet.train import TrainSettings
 
 PLAN = "sweep.yaml"
 SHARED = ("seeds", "block", "seen", "learning_rate")  # defaults of all rows, given beside `rows:`
@@ -54,18 +56,6 @@ class StudyRow:
         return f"{next((WORDS[name] for name in self.given.values() if name in WORDS), 'data')} not given"
 
 
-class Composition(NamedTuple):
-    """From overrides of ``eldenet.train`` to settings and networks; :mod:`eldenet.config` provides it.
-
-    Attributes:
-        resolve: overrides -> the resolved settings of that training, as its ``run.json`` stores them.
-        build_model: section ``model`` of such settings -> the network.
-    """
-
-    resolve: Callable[[Sequence[str]], dict[str, Any]]
-    build_model: Callable[[Mapping[str, Any]], Any]
-
-
 @dataclass(frozen=True)
 class Study:
     """The plan of a study.
@@ -86,12 +76,10 @@ class Study:
             reference rows, with intervals).
         latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies,
             since those that runs measure beside other work mislead.
-        composition: how a row's overrides become settings.
     """
 
     folder: Path
     rows: tuple[StudyRow, ...]
-    composition: Composition
     overrides: tuple[str, ...] = ()
     learning_rates: tuple[float, ...] = ()
     rate_overrides: tuple[str, ...] = ()
@@ -153,7 +141,12 @@ def rate_name(row: StudyRow) -> str:
     return f"{row.name}/learning_rate"
 
 
-def read_study(folder: str | Path, composition: Composition, _readers: tuple[str, ...] = ()) -> Study:
+def training_settings(overrides: Sequence[str]) -> dict[str, Any]:
+    """The resolved settings of ``eldenet.train`` with these overrides, as ``run.json`` stores them."""
+    return asdict(compose(TrainSettings, overrides))
+
+
+def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
     """Read ``sweep.yaml`` in ``folder``.
 
     Raises:
@@ -179,12 +172,12 @@ def read_study(folder: str | Path, composition: Composition, _readers: tuple[str
         if not isinstance(entry, dict | None):
             raise ValueError(f"{where}: give a mapping, such as {{overrides: [model=eldenet]}}")
         if entry and "from" in entry:
-            rows.append(_taken_row(path, str(name), entry, composition, _readers))
+            rows.append(_taken_row(path, str(name), entry, _readers))
         else:
             own = _checked(where, shared | (entry or {}), StudyRow, without=("name", "owner"))
             rows.append(StudyRow(str(name), **own))
-    own = _checked(str(path), content, Study, without=("folder", "rows", "composition"))
-    study = Study(folder, tuple(rows), composition, **own)
+    own = _checked(str(path), content, Study, without=("folder", "rows"))
+    study = Study(folder, tuple(rows), **own)
     for name, values, allowed in (
         ("reference", study.reference, tuple(map(str, described))),
         ("columns", study.columns, METRICS),
@@ -210,16 +203,14 @@ def _name(folder: Path) -> str:
     return Path(os.path.abspath(folder)).name
 
 
-def _taken_row(
-    path: Path, name: str, entry: Mapping[str, Any], composition: Composition, readers: tuple[str, ...]
-) -> StudyRow:
+def _taken_row(path: Path, name: str, entry: Mapping[str, Any], readers: tuple[str, ...]) -> StudyRow:
     """A row of another study beside this one: the same runs, so that no table trains them again."""
     if set(entry) - {"from", "block"}:
         raise ValueError(f"{path}: row {name}, taken from another study: it may have a block, nothing else")
     readers = (*readers, _name(path.parent))
     if entry["from"] in readers:
         raise ValueError(f"{path}: row {name} refers to itself: {' -> '.join((*readers, entry['from']))}")
-    owner = read_study(os.path.normpath(path.parent / ".." / str(entry["from"])), composition, readers)
+    owner = read_study(os.path.normpath(path.parent / ".." / str(entry["from"])), readers)
     (row,) = owner.chosen(name)
     return replace(row, block=entry.get("block", row.block), owner=owner.owner_of(row))
 

@@ -10,23 +10,22 @@ import pytest
 from support.stored_study import settings_of
 from support.tiny_study import EXPECTED, cells, run, short
 
-from eldenet.config import training_composition
-from eldenet.results.studies.plan import read_study
-from eldenet.results.studies.report import write_study_report
-from eldenet.results.studies.tables import read_expected
+from eldenet.studies.plan import read_study
+from eldenet.studies.report import write_study_report
+from eldenet.studies.tables import read_expected
 from eldenet.system.files import read_yaml
 from eldenet.weights import list_models
 
 SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}
-REPOSITORY = Path(__file__).resolve().parents[3]
+REPOSITORY = Path(__file__).resolve().parents[2]
 STUDIES = sorted(path.parent for path in (REPOSITORY / "experiments").glob("*/sweep.yaml"))
 
 
 def test_errors_in_a_plan_are_named(tiny, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no sweep\.yaml"):
-        read_study(tmp_path, training_composition())
+        read_study(tmp_path)
     with pytest.raises(ValueError, match=r"rows=\['none'\].*eldenet_s"):
-        read_study(tiny, training_composition()).chosen(["none"])
+        read_study(tiny).chosen(["none"])
     whole = (tiny / "sweep.yaml").read_text()
     for old, new, word in (
         ("seeds: [0, 1]}", "sead: 1}", "sead"),
@@ -48,7 +47,7 @@ def test_errors_in_a_plan_are_named(tiny, tmp_path):
     ):
         (tiny / "sweep.yaml").write_text(whole.replace(old, new))
         with pytest.raises(ValueError, match=word):
-            read_study(tiny, training_composition())
+            read_study(tiny)
     other = tmp_path / "other"
     other.mkdir()
     for row, word in (
@@ -58,11 +57,11 @@ def test_errors_in_a_plan_are_named(tiny, tmp_path):
         (tiny / "sweep.yaml").write_text(whole)
         (other / "sweep.yaml").write_text(f"rows: {{{row}}}")
         with pytest.raises(ValueError, match=word):
-            read_study(other, training_composition())
+            read_study(other)
     (other / "sweep.yaml").write_text("rows: {eldenet: {from: tiny}}")
     (tiny / "sweep.yaml").write_text("rows: {eldenet: {from: other}}")
     with pytest.raises(ValueError, match="refers to itself: tiny -> other -> tiny"):
-        read_study(tiny, training_composition())
+        read_study(tiny)
     (tiny / "expected.csv").write_text(EXPECTED.replace(",a paper", ","))
     with pytest.raises(ValueError, match="no protocol or source"):
         read_expected(tiny)
@@ -90,7 +89,7 @@ def test_a_learning_rate_that_would_have_no_effect_is_refused(tiny, old, new, wo
     assert old in whole
     (tiny / "sweep.yaml").write_text(whole.replace(old, new, 1))
     with pytest.raises(ValueError, match=rf"{word}.*optimizer\.lr=2.*write learning_rate: 2\.0e-3"):
-        read_study(tiny, training_composition())
+        read_study(tiny)
 
 
 def test_a_learning_rate_among_overrides_counts_where_none_is_searched(tiny):
@@ -98,13 +97,13 @@ def test_a_learning_rate_among_overrides_counts_where_none_is_searched(tiny):
     (tiny / "sweep.yaml").write_text(
         plan.replace("[model=eldenet_s],", "[model=eldenet_s, optimizer.lr=2.0e-3],")
     )
-    row = read_study(tiny, training_composition()).chosen("eldenet_s")[0]
+    row = read_study(tiny).chosen("eldenet_s")[0]
     assert "optimizer.lr=2.0e-3" in row.overrides
 
 
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
 def test_every_row_of_every_study_composes(folder):
-    study = read_study(folder, training_composition())
+    study = read_study(folder)
     read_expected(folder)
     assert (folder / "README.md").is_file()
     known = list_models()
@@ -132,7 +131,7 @@ def test_the_screening_design_is_balanced(monkeypatch):
     """Any two changes are on together, apart and off together in three runs each: effects separate."""
     monkeypatch.syspath_prepend(str(REPOSITORY / "experiments" / "recipe_screening"))
     effects = importlib.import_module("effects")
-    rows = effects.designed(read_study(effects.HERE, training_composition()))
+    rows = effects.designed(read_study(effects.HERE))
     columns = [{row.name for row in rows if word in row.overrides} for word in effects.CHANGES.values()]
     columns.append(set(effects.NOTHING))
     assert len(rows) == 12
@@ -157,9 +156,9 @@ def test_a_row_with_given_folders_is_trained_and_reported(tmp_path):
     row["learning_rate"] = 1.0e-3  # two frames leave none to score trials on
     plan |= {"rows": {"kitti_eldenet": row}, "reference": []}
     (folder / "sweep.yaml").write_text(json.dumps(plan))  # JSON is YAML
-    study = read_study(folder, training_composition())
+    study = read_study(folder)
     places = {"kitti": root, "kitti_raw": root.parent / "raw"}
     outcomes = run(study, "kitti_eldenet", tmp_path / "runs", given=places)
     assert [outcome.status for outcome in outcomes] == ["done"]
-    write_study_report(folder, training_composition())
+    write_study_report(folder)
     assert cells(folder)["KITTI, scratch/kitti_eldenet"]["seeds"] == "1"
