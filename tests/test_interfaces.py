@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.settings_walk import walk
+from test_layers import FLOOR_OF
 
 from eldenet.visualization import write_picture
 
@@ -89,3 +91,10 @@ def test_configs_end_in_compose_py(words: str, tmp_path: Path, command_server) -
     calls, _, received = done.stdout.rpartition("CALLS")[2].partition("RECEIVED")
     assert int(calls) > 100
     assert received.split("\n")[1:] == [""]
+
+
+def test_a_trainings_settings_are_handed_on_rarely_and_never_up(tmp_path: Path) -> None:
+    steps = walk(tmp_path / "run")
+    floors = [[FLOOR_OF[function.partition(":")[0].split(".")[0]] for function in step] for step in steps]
+    assert 20 < len(steps) <= 60
+    assert [step for step, (giver, receiver) in zip(steps, floors, strict=True) if receiver > giver] == []
