@@ -18,6 +18,7 @@ from eldenet.cli.entry_point import entry_point, given_settings
 from eldenet.compose import REQUIRED, listed
 from eldenet.configurable import instantiate, modules_named_in
 from eldenet.data.splits import check_folders
+from eldenet.data.workers import start_server
 from eldenet.system.extras import EXTRAS, require
 from eldenet.system.files import sole_writer, write_yaml
 from eldenet.system.resources import choose_resources, is_main_process, join_processes, main_process_first
@@ -101,6 +102,8 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
         log.say(f"{folder}: already finished")
         return best_value
     checkpoint = checkpoint_to_resume(folder, s.ckpt_path, settings)
+    if s.runtime.get("workers") != 0:
+        start_server()  # its imports go on beside this process's own
     from eldenet.evaluation.splits import chosen_protocol, open_splits
     from eldenet.results.fingerprints import fingerprints
     from eldenet.results.score import score_best

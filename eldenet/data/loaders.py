@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
-from multiprocessing import get_context
 from typing import Any
 
 import torch
@@ -10,7 +9,8 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Sampler, default_collate
 
 from eldenet.data.base import DepthDataset
-from eldenet.system.resources import prepare_environment
+from eldenet.data.workers import worker_options
+from eldenet.system.resources import available_memory
 from eldenet.types import DepthSample
 
 FEW_BATCHES = 4  # up to here an epoch shows all frames, in a smaller last batch too
@@ -79,18 +79,37 @@ def _sizes(sample: DepthSample) -> tuple[tuple[int, ...], ...]:
     return tuple(sample["image"].shape[-2:]), tuple(sample["depth"].shape[-2:])
 
 
+class Loader(DataLoader):
+    """A loader that says what to do when one of its workers was killed."""
+
+    def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
+        """Yield batches.
+
+        Raises:
+            ChildProcessError: a worker was killed.
+        """
+        try:
+            yield from super().__iter__()
+        except RuntimeError as error:
+            if "exited unexpectedly" not in str(error):
+                raise
+            raise ChildProcessError(
+                "a process that loads data was killed, as happens when memory runs out "
+                f"({available_memory() / 1e9:.1f} GB are free now): lower runtime.workers"
+            ) from error
+
+
 def training_loader(
     dataset: DepthDataset, sampler: EpochSampler, *, workers: int = 0, pin_memory: bool = False
 ) -> DataLoader:
     """Return a loader in the order of ``sampler``; set its ``epoch`` and ``start`` before each epoch."""
     dataset.open_cache()
-    return DataLoader(
+    return Loader(
         dataset,
         batch_sampler=sampler,
         collate_fn=collate,
-        persistent_workers=workers > 0,
         pin_memory=pin_memory,
-        **_worker_options(workers),
+        **worker_options(workers),
     )
 
 
@@ -99,14 +118,14 @@ def evaluation_loader(
 ) -> DataLoader:
     """Return a loader of this process's share of the frames: each frame once, in order, without padding.
 
-    It yields lists of batches of one size each (:func:`collate_runs`). Its workers, at most one per item, end
-    with the pass over the frames.
+    It yields lists of batches of one size each (:func:`collate_runs`). Its workers, at most one per item, are
+    there for any number of passes.
     """
     dataset.open_cache()
     share = range(rank, len(dataset), processes)
     batches = [list(share[first : first + batch_size]) for first in range(0, len(share), batch_size)]
-    options = _worker_options(min(workers, len(batches)))
-    return DataLoader(dataset, batch_sampler=batches, collate_fn=collate_runs, **options)
+    options = worker_options(min(workers, len(batches)))
+    return Loader(dataset, batch_sampler=batches, collate_fn=collate_runs, **options)
 
 
 def to_device(batch: Mapping[str, Any], device: torch.device, *, channels_last: bool) -> dict[str, Any]:
@@ -118,23 +137,3 @@ def to_device(batch: Mapping[str, Any], device: torch.device, *, channels_last: 
     }
     moved["image"] = moved["image"].contiguous(memory_format=layout)
     return moved
-
-
-def _worker_options(workers: int) -> dict[str, Any]:
-    """Workers fork from a server that has done the imports, so a validation starts at once."""
-    # without a generator, the start of each epoch would draw from torch's global one
-    options: dict[str, Any] = {"generator": torch.Generator(), "num_workers": workers}
-    if workers:
-        prepare_environment()  # the server inherits it
-        context = get_context("forkserver")
-        context.set_forkserver_preload(["__main__", "torch", "cv2", "albumentations", "eldenet.data.loaders"])
-        options |= {"worker_init_fn": _quiet_worker, "multiprocessing_context": context}
-    return options
-
-
-def _quiet_worker(_: int) -> None:
-    """Limit a worker to one thread, which counts as its core."""
-    import cv2
-
-    torch.set_num_threads(1)
-    cv2.setNumThreads(0)

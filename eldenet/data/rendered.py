@@ -14,6 +14,7 @@ from eldenet.data.rendering import VIEWS, Generator, SceneStore, frame_name, ren
 from eldenet.system.checks import one_of
 from eldenet.system.digests import digest_of
 from eldenet.system.errors import DiskError
+from eldenet.system.resources import available_cores
 from eldenet.types import Frame
 
 SPLITS = ("train", "val", "test")
@@ -32,8 +33,7 @@ class RenderedScenes(DepthDataset):
         frames: how many frames of the split to use.
         size: ``(height, width)`` of the rendered frames [px]; None: ``default_size``.
         root: folder for rendered frames; None for ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
-        workers: processes that render missing frames; None for two (one on a single core), 0 renders in this
-            process.
+        workers: processes that render missing frames; None for one per core, 0 renders in this process.
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: that of the data set.
         detail: frames of ``detailed``: closer to real pictures.
@@ -101,7 +101,7 @@ class RenderedScenes(DepthDataset):
         try:
             missing = self.missing_scenes(split, frames)
             if missing:
-                count = min(2, os.cpu_count() or 1) if workers is None else workers
+                count = available_cores() if workers is None else workers
                 render_missing(self.folder, self.generator, split, missing, self.size, count)
             self.store = self._open(split, frames)
         except DiskError:  # says it already

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.utils.data import DataLoader
 
 from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import collate, evaluation_loader
@@ -98,12 +99,30 @@ def evaluate(
         ValueError: the data set's ground truth is not of the protocol's kind or size, no pixel of it counts,
             or a prediction is NaN.
     """
+    rank, processes = shard
+    loader = evaluation_loader(dataset, batch_size, workers=workers, rank=rank, processes=processes)
+    return evaluate_batches(model, loader, protocol, device=device, processes=processes, advance=advance)
+
+
+def evaluate_batches(
+    model: nn.Module,
+    loader: DataLoader,
+    protocol: EvalProtocol,
+    *,
+    device: str | torch.device = "cpu",
+    processes: int = 1,
+    advance: Callable[[int], object] | None = None,
+) -> Evaluation:
+    """Score as :func:`evaluate`, with an :func:`~eldenet.data.loaders.evaluation_loader` for several passes.
+
+    Raises:
+        ValueError: as :func:`evaluate`.
+    """
     from eldenet.evaluation.metrics import DepthMetrics  # torchmetrics takes seconds to load
     from eldenet.evaluation.uncertainty_metrics import UncertaintyMeter
 
+    dataset: Any = loader.dataset
     protocol.check_ground_truth(dataset.ground_truth)
-    rank, processes = shard
-    loader = evaluation_loader(dataset, batch_size, workers=workers, rank=rank, processes=processes)
     metrics = DepthMetrics(protocol, sync=processes > 1, classes=dataset.class_names).to(device)
     distribution = getattr(model, "distribution", None)
     meter = None if distribution is None else UncertaintyMeter(distribution)

@@ -112,9 +112,10 @@ def choose_resources(
     if threads == "auto":
         # half of them: while a machine is idle a second thread gives a small network a quarter more
         # (experiments/training_speed), and it costs most of the speed once anything else wants a core
-        threads = max(1, cores // 2 if workers == "auto" else cores - int(workers))
+        half = min(2, cores // 2) if device == "cuda" else cores // 2  # beside a GPU, workers need the cores
+        threads = max(1, half if workers == "auto" else cores - int(workers))
     threads = int(threads)
-    workers = min(8, max(0, cores - threads)) if workers == "auto" else int(workers)
+    workers = max(0, cores - threads) if workers == "auto" else int(workers)
     if device == "cpu" and threads + workers > cores:
         warnings.warn(
             f"threads={threads} + workers={workers} exceed the {cores} cores: they take turns and slow each "

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from eldenet.data.base import DepthDataset
-from eldenet.data.loaders import EpochSampler, to_device, training_loader
-from eldenet.evaluation.evaluator import evaluate, sample_rows
+from eldenet.data.loaders import EpochSampler, evaluation_loader, to_device, training_loader
+from eldenet.evaluation.evaluator import evaluate_batches, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.geometry import focal_ratio, in_meters
@@ -162,18 +162,14 @@ class Trainer:
         self.log.say(self._plan())
         with GracefulStop() as stop:
             for epoch in range(progress.epoch, self.epochs):
-                try:
-                    self._train_epoch(epoch, stop)
-                except RuntimeError:
-                    if not stop:  # Ctrl-C reaches the loader's workers too, and they end
-                        raise
+                self._train_epoch(epoch, stop)
                 if stop and progress.batch < self.sampler.batches:
                     self._stop(stop)
                 self._end_epoch(epoch)
                 if stop:
                     self._stop(stop)
         self.log.close()
-        del self.loader  # its workers end with it
+        del self.loader, self.val_loader  # their workers end with them
         if progress.best_epoch < 1:
             raise ValueError(
                 f"trainer.monitor={self.monitor} was NaN in every validation, so no epoch is the best one: "
@@ -290,7 +286,7 @@ class Trainer:
         self.accelerator = make_accelerator(resources)
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
         self.train_set, self.val_set, self.protocol = data
-        self.folder, self.workers = folder, resources.workers
+        self.folder = folder
         loss.setup(model, self.accelerator.autocast)
         self.loss = loss.to(self.accelerator.device)
         if self.sync_batchnorm and self.processes > 1:
@@ -302,6 +298,13 @@ class Trainer:
         )
         self.loader = training_loader(
             self.train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
+        )
+        self.val_loader = evaluation_loader(
+            self.val_set,
+            self.batch_size,
+            workers=resources.workers,
+            rank=self.rank,
+            processes=self.processes,
         )
         steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate_grad_batches)
         optimizer = build_optimizer(
@@ -431,14 +434,12 @@ class Trainer:
             ) in model.buffers():  # each process has its own BatchNorm statistics: score what is saved
                 torch.distributed.broadcast(buffer, 0)
         with self.log.bar("validation", len(self.val_set)) as bar:
-            result = evaluate(
+            result = evaluate_batches(
                 model,
-                self.val_set,
+                self.val_loader,
                 self.protocol,
                 device=self.accelerator.device,
-                batch_size=self.batch_size,
-                workers=self.workers,
-                shard=(self.rank, self.processes),
+                processes=self.processes,
                 advance=bar.advance,
             )
         if self.accelerator.is_main_process:

@@ -28,9 +28,10 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from torch.utils.data import DataLoader, Dataset  # noqa: E402
 
-from eldenet.data.loaders import EpochSampler, _quiet_worker, training_loader  # noqa: E402
+from eldenet.data.loaders import EpochSampler, training_loader  # noqa: E402
 from eldenet.data.nyu import NYULabelled  # noqa: E402
 from eldenet.data.transforms import Augmentation  # noqa: E402
+from eldenet.data.workers import prepare_worker  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.system.resources import choose_resources  # noqa: E402
 
@@ -84,7 +85,7 @@ def loader_of(row: str, workers: int) -> DataLoader:
         batch_sampler=sampler,
         num_workers=workers,
         persistent_workers=workers > 0,
-        worker_init_fn=_quiet_worker if workers else None,
+        worker_init_fn=prepare_worker if workers else None,
         multiprocessing_context="forkserver" if workers else None,
     )
 

@@ -19,6 +19,7 @@ from support.synthetic import SyntheticDepth
 
 PROTOCOL = EvalProtocol("synthetic", min_depth=0.1, ground_truth="dense")
 ONE_THREAD = Resources(device="cpu", precision="fp32", threads=1, workers=0, cores=2)
+TWO_WORKERS = Resources(device="cpu", precision="fp32", threads=1, workers=2, cores=3)
 
 
 class Stopped(Exception):

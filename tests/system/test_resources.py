@@ -50,6 +50,14 @@ def test_cores_are_limited_by_the_container_s_quota(
     assert available_cores() == cores
 
 
+def test_workers_take_the_cores_that_threads_leave(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resources, "available_cores", lambda: 32)
+    monkeypatch.setattr(torch, "set_num_threads", lambda _: None)
+    monkeypatch.setattr(resources, "check_torch_device", lambda _: None)
+    chosen = [choose_resources(device=device, precision="fp32") for device in ("cpu", "cuda")]
+    assert [(one.threads, one.workers) for one in chosen] == [(16, 16), (2, 30)]
+
+
 def test_choosing_resources_turns_tf32_off() -> None:
     before = torch.backends.cudnn.allow_tf32
     try:

@@ -1,12 +1,16 @@
 """A training says what an epoch is made of, and a signal ends it with everything saved."""
 
+import multiprocessing
 import os
 import signal
+import time
+from pathlib import Path
 
 import pytest
-from support.training import digest, fit, make_trainer
+from support.training import TWO_WORKERS, digest, fit, make_trainer
 
 from eldenet.data.loaders import EpochSampler
+from eldenet.system.errors import line_of
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.trainer import Trainer
 
@@ -45,6 +49,82 @@ def test_a_signal_saves_the_current_update_and_the_rest_gives_the_same_weights(t
     assert (progress["epoch"], progress["batch"], progress["step"]) == (1, 2, 6)
     fit(tmp_path / "part", trainer=make_trainer(), ckpt_path=tmp_path / "part")
     assert digest(tmp_path / "part") == digest(tmp_path / "whole")
+
+
+WITH_WORKERS = """
+import multiprocessing, os, signal, subprocess, sys
+from multiprocessing import forkserver
+from pathlib import Path
+
+from support.training import TWO_WORKERS, fit, make_trainer
+
+from eldenet.data import workers
+from eldenet.training import trainer
+
+def act():
+    if what == "kill":
+        server, children = forkserver._forkserver._forkserver_pid, multiprocessing.active_children()
+        Path("pids").write_text(" ".join(str(pid) for pid in (server, *(child.pid for child in children))))
+        os.kill(os.getpid(), signal.SIGKILL)
+    subprocess.run(["kill", "-TERM", "--", f"-{os.getpgid(0)}"])
+
+class Acting(trainer.Trainer):
+    def train_step(self, batch, *, update):
+        if what != "validation" and self.progress.step == 5:
+            act()
+        return super().train_step(batch, update=update)
+
+def evaluate_batches(*arguments, advance, **options):
+    def act_and_advance(count):
+        if what == "validation":
+            act()
+        advance(count)
+    return evaluate(*arguments, advance=act_and_advance, **options)
+
+if __name__ == "__main__":
+    what = sys.argv[1]
+    workers.PRELOADED = ("torch", "cv2")
+    trainer.evaluate_batches, evaluate = evaluate_batches, trainer.evaluate_batches
+    fit(Path("run"), trainer=make_trainer(Acting), resources=TWO_WORKERS, transform=None)
+"""
+
+
+def run_with_workers(command_server, folder: Path, what: str):
+    (folder / "with_workers.py").write_text(WITH_WORKERS)
+    return command_server.run(str(folder / "with_workers.py"), [what], folder)
+
+
+@pytest.mark.parametrize(("what", "step"), [("training", 6), ("validation", 4)])
+def test_a_signal_to_all_processes_stops_at_a_checkpoint(tmp_path, command_server, what, step):
+    """As ``timeout`` and SLURM send it."""
+    done = run_with_workers(command_server, tmp_path, what)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, "")
+    assert load_checkpoint(tmp_path / "run")["progress"]["step"] == step
+
+
+def test_a_killed_trainer_leaves_no_process(tmp_path, command_server):
+    done = run_with_workers(command_server, tmp_path, "kill")
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    pids = [int(pid) for pid in (tmp_path / "pids").read_text().split()]
+    assert len(pids) == 5  # the server, two workers for training and two for validation
+    deadline = time.monotonic() + 5
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_a_killed_worker_ends_the_training_in_one_line(tmp_path):
+    class Killing(Trainer):
+        def train_step(self, batch, *, update):
+            os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
+            return super().train_step(batch, update=update)
+
+    with pytest.raises(ChildProcessError) as error:
+        fit(tmp_path, trainer=make_trainer(Killing), resources=TWO_WORKERS, frames=40, transform=None)
+    line = line_of(error.value)
+    assert "memory" in line
+    assert "lower runtime.workers" in line
+    assert "\n" not in line
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,69 @@
+"""Processes that load data: they fork from a server that has done the imports, and end with their trainer."""
+
+import os
+import signal
+import threading
+from multiprocessing import forkserver, get_context, parent_process, resource_tracker
+from typing import TYPE_CHECKING, Any
+
+from eldenet.system.resources import prepare_environment
+from eldenet.system.signals import SIGNALS
+
+if TYPE_CHECKING:
+    from multiprocessing.context import ForkServerContext
+
+#: The last one for commands: a worker imports its trainer's main module anew.
+PRELOADED = ("torch", "cv2", "albumentations", "eldenet.data.loaders", "eldenet.cli.entry_point")
+
+
+def start_server() -> "ForkServerContext":
+    """Start the server of this process, unless it runs; its imports take seconds, in the background.
+
+    ``timeout``, SLURM and Ctrl-C signal the whole process group. That is for the trainer alone to answer, so
+    the server and its workers are born with these signals blocked.
+    """
+    prepare_environment()  # the server inherits it
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["__main__", *PRELOADED])
+    resource_tracker.ensure_running()  # it would unblock the signals
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {getattr(signal, name) for name in SIGNALS})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return context
+
+
+def worker_options(workers: int) -> dict[str, Any]:
+    """Return a loader's options for ``workers`` processes, which end with the loader."""
+    import torch
+
+    # without a generator, the start of each epoch would draw from torch's global one
+    options: dict[str, Any] = {"generator": torch.Generator(), "num_workers": workers}
+    if workers:
+        options |= {"persistent_workers": True, "worker_init_fn": prepare_worker}
+        options |= {"multiprocessing_context": start_server()}
+    return options
+
+
+def prepare_worker(_: int) -> None:
+    """Limit a worker to one thread, which counts as its core, and let it end with its trainer."""
+    import cv2
+    import torch
+
+    torch.set_num_threads(1)
+    cv2.setNumThreads(0)
+    threading.Thread(target=_end_with_trainer, daemon=True).start()
+
+
+def _end_with_trainer() -> None:
+    """End this worker once the trainer is gone or terminates it; drop the signals of others."""
+    trainer = parent_process()
+    assert trainer is not None
+    if not hasattr(signal, "sigtimedwait"):  # macOS
+        trainer.join()
+    while trainer.is_alive():
+        received = signal.sigtimedwait([signal.SIGTERM], 1.0)
+        if received is not None and received.si_pid == trainer.pid:
+            break
+    os._exit(1)
