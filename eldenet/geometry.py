@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SAME_ASPECT = 0.02  # share by which a resize may stretch one side: what rounding to whole pixels does
+SAME_SURFACE = 0.05  # share by which the depth of neighboring pixels of one surface may differ
 BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once a network has normalized it
 FILM_DIAGONAL = 43.27  # of 35 mm film [mm]
 
@@ -172,6 +173,29 @@ def resize_image(image: np.ndarray, size: tuple[int, int], *, area: bool = True)
     if image.shape[:2] == tuple(size):
         return image
     return cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+
+def resample_depth(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Depth ``(H, W)`` [m] at ``size`` [px], without depth that lies between two surfaces; 0 is unknown.
+
+    Enlarged: where the four nearest pixels lie on one surface (within 5 %), their 1 / depth, which is linear
+    on a plane, is interpolated; elsewhere, and where the map shrinks, the nearest pixel is taken.
+    """
+    import cv2
+
+    nearest = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+    if size[0] < depth.shape[0] or size[1] < depth.shape[1]:
+        return nearest
+    padded = np.pad(depth, 1, mode="edge")
+    corners = np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
+    one_surface = (corners.min(0) > 0) & (corners.max(0) <= corners.min(0) * (1 + SAME_SURFACE))
+    # the upper left of the four pixels around a target pixel, counted in the padded map
+    rows = np.floor((np.arange(size[0]) + 0.5) * depth.shape[0] / size[0] - 0.5).astype(np.int64) + 1
+    cols = np.floor((np.arange(size[1]) + 0.5) * depth.shape[1] / size[1] - 0.5).astype(np.int64) + 1
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
+    inverse = cv2.resize(inverse, size[::-1], interpolation=cv2.INTER_LINEAR)
+    between = one_surface[rows[:, None], cols[None]]
+    return np.divide(1.0, inverse, out=nearest, where=between)
 
 
 def resize_sparse(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -12,6 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from eldenet.system.errors import first_line
+from eldenet.system.extras import require
+
 
 def _png_fault(content: bytes) -> str:
     """Check every chunk's checksum up to IEND."""
@@ -88,12 +91,29 @@ def picture_size(content: bytes) -> tuple[int, int]:
         elif content[:2] in (b"P5", b"P6"):
             header = _NETPBM.match(content)
             width, height = (int(header[2]), int(header[3])) if header else (0, 0)
+        elif is_heif(content):
+            width, height = _heif(content).size
         else:
             directory = _tiff_directory(content)
             width, height = directory[256], directory[257]
         return abs(int(height)), abs(int(width))
+    except ImportError:
+        raise
     except Exception:  # the check of the format, or the decoder, says what is wrong
         return 0, 0
+
+
+def is_heif(content: bytes) -> bool:
+    """Whether the bytes are those of a HEIC or HEIF picture, as iPhones write them."""
+    return content[4:12] in (b"ftypheic", b"ftypheix", b"ftypmif1", b"ftypmsf1", b"ftypheim", b"ftyphevc")
+
+
+def _heif(content: bytes) -> Any:
+    """Open a HEIC picture, of which only the header is read."""
+    require("reading HEIC pictures", "pillow_heif")
+    import pillow_heif
+
+    return pillow_heif.open_heif(io.BytesIO(content))
 
 
 def _webp_fault(content: bytes) -> str:
@@ -130,6 +150,11 @@ def decode_picture(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
     """
     import cv2
 
+    if is_heif(content):
+        try:  # libheif turns the picture upright
+            return cv2.cvtColor(np.asarray(_heif(content).to_pillow().convert("RGB")), cv2.COLOR_RGB2BGR), ""
+        except (ValueError, OSError, EOFError, RuntimeError) as error:
+            return None, first_line(error) or type(error).__name__
     if content.startswith(b"\xff\xd8"):
         picture, fault = _decode_jpeg(content)
         upright = not flags & cv2.IMREAD_IGNORE_ORIENTATION

@@ -1,48 +1,64 @@
-"""Your own pictures with depth: two folders, or a CSV of pairs."""
+"""Your own pictures with depth: folders or patterns of files, or a list of frames."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
 
-from eldenet.data.base import FileDataset, SampleOptions, check_pair
-from eldenet.data.io import IMAGE_ENDINGS, Encoding, depth_encoding, read_depth, read_image
-from eldenet.data.paths import csv_pairs, find_root, natural_order, visible_files
-from eldenet.geometry import check_intrinsics, intrinsic_matrix
+from eldenet.data.base import SPARSE, FileDataset, SampleOptions, check_pair
+from eldenet.data.camera_files import Camera, read_camera
+from eldenet.data.frame_lists import stated_scale
+from eldenet.data.io import Encoding, depth_encoding, is_turned, read_depth, read_image, read_raw_depth
+from eldenet.data.paths import find_root, natural_order
+from eldenet.data.recordings import Layout, RecordedFrame
+from eldenet.geometry import resample_depth, resize_sparse, same_aspect
 from eldenet.system.checks import one_of
 from eldenet.system.files import read_text
 from eldenet.types import Frame
 
-DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
 FOLDER_TREE = """
-images/a.jpg, images/b.jpg ...       depths/a.png, depths/b.png ...     (or a CSV with lines image,depth)
+images/a.jpg, images/b.jpg ...     depths/a.png, depths/b.png ...     (other trees: eldenet check-data FOLDER)
 """
 
 
 class FolderDataset(FileDataset):
-    """Pictures and depth maps matched by name, or paired by a CSV.
+    """Pictures and depth maps in folders, matched by name, time or order, or paired by a list.
 
-    The split is by blocks of frames that follow each other in the order of their names (2 before 10):
-    neighboring frames of a recording look nearly the same, so a frame-by-frame split would test on what was
-    trained. Better still, name validation frames of other places in ``val_names``.
+    Depth maps of another size than their pictures are resampled to it
+    (:func:`~eldenet.geometry.resample_depth`). A picture is turned as its EXIF tag says only where its depth
+    map is upright.
+
+    The split is by scenes where there are several. Else it is by blocks of frames that follow each other in
+    the order of their names (2 before 10): neighboring frames of a recording look nearly the same, so a
+    frame-by-frame split would test on what was trained. Better still, name validation frames of other places
+    in ``val_names``.
 
     Args:
         root: the data set's folder.
-        images: folder of pictures below ``root``.
-        depths: folder of depth maps below ``root``, with the same names except for the ending.
-        csv: CSV below ``root`` without a header, one ``image,depth`` per line, relative to ``root``; replaces
-            ``images`` and ``depths``.
-        allow_outside: let the CSV name files outside ``root`` (``../`` or absolute paths).
+        images: pictures below ``root``: a folder, a pattern of folders (``*/rgb``: one per scene) or of files
+            (``*_color.png``), or a list in TUM's format (``rgb.txt``).
+        depths: depth maps below ``root``, given in the same ways.
+        csv: list of frames below ``root``, which replaces ``images`` and ``depths``: lines ``image,depth``,
+            a CSV with a header (image, depth, confidence, fx, fy, cx, cy, scene), TUM's
+            ``associations.txt``, or Nerfstudio's ``transforms.json``.
+        allow_outside: let the list name files outside ``root`` (``../`` or absolute paths).
+        confidence: confidence maps, given as ``depths``, with the same names; None: there are none.
+        min_confidence: depth of a lower confidence is unknown (ARKit: 0 low, 1 medium, 2 high).
+        pair_by: "name", "time" or "order"; None: by time for lists in TUM's format, else by name.
+        tolerance: largest difference of time [s] between a picture and its depth map.
+        rotate_depth: degrees by which depth and confidence maps are turned clockwise: 0, 90, 180 or 270.
         encoding: of the depth files: a name in :data:`eldenet.data.io.ENCODINGS`, or
             ``{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}``.
-        intrinsics: ``[fx, fy, cx, cy]`` or ``(3, 3)`` of the pictures on disk [px], which must then have one
-            size, with the principal point inside; None if unknown.
+        intrinsics: ``[fx, fy, cx, cy]`` or ``(3, 3)`` of the pictures on disk, or of the depth maps, [px],
+            which must then have one size, with the principal point inside; a table with ``width`` and
+            ``height`` too; a file of the camera below ``root``; or a folder or pattern of one file per
+            picture. None: those of the list, or unknown.
         split: "train", "val" or "all".
-        val_fraction: share of the blocks for validation.
+        val_fraction: share of the blocks or scenes for validation.
         blocks: how many blocks the frames are cut into.
         gap: frames left out of both parts on each side of a validation block.
-        split_seed: decides which blocks are for validation.
+        split_seed: decides which blocks or scenes are for validation.
         val_names: validation frames, instead of blocks: a list of names, or a text file with one per line.
         ground_truth: "raw", "inpainted" or "sparse": what the depth is, for reports.
         **options: see :class:`~eldenet.data.base.DepthDataset`; ``max_depth`` has no default here.
@@ -62,8 +78,13 @@ class FolderDataset(FileDataset):
         depths: str = "depths",
         csv: str | None = None,
         allow_outside: bool = False,
+        confidence: str | None = None,
+        min_confidence: int = 1,
+        pair_by: str | None = None,
+        tolerance: float = 0.02,
+        rotate_depth: int = 0,
         encoding: Encoding = "mm",
-        intrinsics: Sequence[Any] | None = None,
+        intrinsics: Sequence[Any] | Mapping[str, Any] | str | None = None,
         split: str = "all",
         val_fraction: float = 0.1,
         blocks: int = 10,
@@ -75,103 +96,116 @@ class FolderDataset(FileDataset):
     ) -> None:
         one_of("split", split, ("train", "val", "all"))
         one_of("ground_truth", ground_truth, ("raw", "inpainted", "sparse"))
+        one_of("rotate_depth", rotate_depth, (0, 90, 180, 270))
+        layout = Layout(images, depths, csv, allow_outside, confidence, pair_by, tolerance, intrinsics)
         self.encoding, self.ground_truth = depth_encoding(encoding), ground_truth
-        self.intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics)
+        self.min_confidence, self.rotate_depth = min_confidence, rotate_depth
+        if not isinstance(intrinsics, str):
+            layout.camera(Path())  # a mistake in numbers needs no folder
 
-        folder = find_root(root, None, [csv] if csv else [images, depths], FOLDER_TREE)
-        if csv:
-            pairs = _csv_frames(folder, csv, allow_outside)
-        else:
-            pairs = _folder_frames(folder, images, depths, strict=options.get("on_error") != "skip")
-        every = names = sorted(pairs, key=natural_order)
+        folder = find_root(root, None, layout.needed, FOLDER_TREE)
+        self.camera = layout.camera(folder)
+        self._check_scale(folder, csv)
+        self.frames = layout.frames(folder, strict=options.get("on_error") != "skip")
+        every = names = sorted(self.frames, key=natural_order)
         if split != "all" and val_names is not None:
             names = _named(names, val_names, wanted=split == "val")
         elif split != "all":
-            val, left_out = val_blocks(len(names), val_fraction, blocks, gap, split_seed)
+            scenes = [self.frames[name].scene for name in names]
+            val, left_out = val_scenes(scenes, val_fraction, split_seed), list[int]()
+            if not val:
+                val, left_out = val_blocks(len(names), val_fraction, blocks, gap, split_seed)
             chosen = val if split == "val" else sorted(set(range(len(names))) - set(val) - set(left_out))
             names = [names[i] for i in chosen]
-        super().__init__(folder, names, [pairs[name] for name in names], **options)
+        super().__init__(folder, names, [self._files_of(name) for name in names], **options)
         self.calibrated: tuple[Path, tuple[int, int]] | None = None  # the picture that sets the size
-        if self.intrinsics is not None:  # the folder's first one: the same for all splits
-            self.calibrated = _first_size([folder / pairs[name][0] for name in every])
-            if self.calibrated is not None:
-                check_intrinsics(self.intrinsics, self.calibrated[1])
+        if self.camera is not None and self.camera.size is None:  # the same for all splits
+            self._calibrate(self.camera, every)
+
+    def _check_scale(self, root: Path, csv: str | None) -> None:
+        scale = None if csv is None else stated_scale(root / csv)
+        if (
+            scale is not None
+            and self.encoding.dtype != "float"
+            and not np.isclose(scale, self.encoding.scale)
+        ):
+            raise ValueError(
+                f"{root / str(csv)} states {scale:g} m per step, encoding={self.encoding.name} has "
+                f"{self.encoding.scale:g}: set data.encoding={{scale: {scale:g}}}"
+            )
+
+    def _files_of(self, name: str) -> tuple[str, ...]:
+        frame = self.frames[name]
+        return frame.files + ((frame.camera,) if isinstance(frame.camera, str) else ())
+
+    def _calibrate(self, camera: Camera, names: Sequence[str]) -> None:
+        """Let the first frame that can be read say which size the intrinsics describe."""
+        for name in names:
+            try:
+                size, depth_size = (a.shape[:2] for a in self._read(self.frames[name]))
+            except (ValueError, OSError):  # reported when its frame is read
+                continue
+            matrix = camera.at_size((size[0], size[1]), (depth_size[0], depth_size[1]))
+            self.calibrated = (self.root / self.frames[name].files[0], (size[0], size[1]))
+            self.camera = camera._replace(matrix=matrix, size=self.calibrated[1])
+            return
 
     def frame_settings(self) -> dict[str, object]:
         """Return encoding and camera."""
-        camera = None if self.intrinsics is None else self.intrinsics.tolist()
-        size = None if self.calibrated is None else self.calibrated[1]
-        return {"encoding": self.encoding.description, "intrinsics": camera, "size": size}
+        cameras = [self.camera, *(frame.camera for frame in self.frames.values())]
+        return {
+            "encoding": self.encoding.description,
+            "intrinsics": [(c.matrix.tolist(), c.size) for c in cameras if isinstance(c, Camera)],
+            "rotate_depth": self.rotate_depth,
+            "min_confidence": self.min_confidence,
+        }
 
     def load_frame(self, index: int) -> Frame:
-        """Read one picture and its depth."""
-        image_file, depth_file = self.frame_files(index)
-        image, depth = read_image(image_file), read_depth(depth_file, self.encoding)
-        check_pair(image.shape, image_file, depth.shape, depth_file)
-        if self.calibrated is not None and image.shape[:2] != self.calibrated[1]:
-            first, size = self.calibrated
+        """Read one picture and its depth, at the size of the picture."""
+        name = self.names[index]
+        frame = self.frames[name]
+        image, depth = self._read(frame)
+        size, depth_size = (image.shape[0], image.shape[1]), (depth.shape[0], depth.shape[1])
+        if self.calibrated is not None and size != self.calibrated[1]:
+            first, other = self.calibrated
             raise ValueError(
-                f"{image_file} is {image.shape[:2]}, {first} is {size} (height, width), but intrinsics "
-                "describe "
-                "one camera: resize the pictures to one size, put each size into its own folder, or "
+                f"{self.root / frame.files[0]} is {size}, {first} is {other} (height, width), but intrinsics "
+                "describe one camera: resize the pictures to one size, put each size into its own folder, or "
                 "leave intrinsics out (null)"
             )
-        return Frame(image, depth, self.intrinsics, self.names[index])
+        if depth_size != size:
+            depth = (resize_sparse if self.ground_truth in SPARSE else resample_depth)(depth, size)
+        camera = self.camera_of(name)
+        return Frame(image, depth, None if camera is None else camera.at_size(size, depth_size), name)
 
+    def camera_of(self, name: str) -> Camera | None:
+        """Return the camera of a frame as its recorder stored it, with its pose where there is one."""
+        found = self.frames[name].camera
+        if isinstance(found, str):
+            return read_camera(self.root / found)
+        return self.camera or found
 
-def _first_size(pictures: Sequence[Path]) -> tuple[Path, tuple[int, int]] | None:
-    """Return the first picture that can be read, and its ``(height, width)`` [px]."""
-    for picture in pictures:
-        try:
-            height, width = read_image(picture).shape[:2]
-            return picture, (height, width)
-        except (ValueError, OSError):  # reported when its frame is read
-            continue
-    return None
-
-
-def _csv_frames(root: Path, table: str, allow_outside: bool) -> dict[str, tuple[str, str]]:
-    pairs = csv_pairs(root / table, allow_outside=allow_outside)
-    frames = {image.rsplit(".", 1)[0]: (image, depth) for image, depth in pairs}
-    if len(frames) != len(pairs):
-        raise ValueError(f"{root / table} has {len(pairs)} lines but only {len(frames)} different pictures")
-    return frames
-
-
-def _folder_frames(root: Path, images: str, depths: str, *, strict: bool) -> dict[str, tuple[str, str]]:
-    """Pairs by their path below the folder, without the ending; a missing partner is named ``name.*``."""
-    pictures = _files(root, images, IMAGE_ENDINGS)
-    maps = _files(root, depths, DEPTH_ENDINGS)
-    for kind, setting, folder, found, endings in (
-        ("pictures", "images", images, pictures, IMAGE_ENDINGS),
-        ("depth maps", "depths", depths, maps, DEPTH_ENDINGS),
-    ):
-        if not found:
-            raise FileNotFoundError(
-                f"{root / folder} holds no {kind} ({', '.join(endings)}): put them there, or give another "
-                f"data.root or data.{setting}"
+    def _read(self, frame: RecordedFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Read a picture ``(H, W, 3)`` and its depth ``(h, w)`` [m], of one aspect."""
+        image_file, depth_file, *rest = (self.root / file for file in frame.files)
+        image, depth = read_image(image_file), read_depth(depth_file, self.encoding)
+        for file in rest:
+            confidence = read_raw_depth(file)
+            if confidence.shape != depth.shape:
+                check_pair(depth.shape, depth_file, confidence.shape, file)
+            depth = np.where(confidence >= self.min_confidence, depth, np.float32(0))
+        depth = np.ascontiguousarray(np.rot90(depth, -self.rotate_depth // 90))
+        shapes = image.shape[:2], depth.shape
+        if not same_aspect(*shapes) and same_aspect(shapes[0][::-1], shapes[1]):
+            if is_turned(image_file):
+                return read_image(image_file, upright=True), depth
+            raise ValueError(
+                f"{depth_file} is turned by 90 degrees against {image_file}: set data.rotate_depth=90 "
+                "(clockwise) or 270, and look at the contact sheet of eldenet check-data"
             )
-    lonely = [f"{pictures[n]} (no depth in {depths})" for n in sorted(set(pictures) - set(maps))]
-    lonely += [f"{maps[n]} (no picture in {images})" for n in sorted(set(maps) - set(pictures))]
-    if lonely and strict:
-        more = f" and {len(lonely) - 10} more" if len(lonely) > 10 else ""
-        raise FileNotFoundError(
-            f"{len(lonely)} files in {root} have no partner: {', '.join(lonely[:10])}{more}. Add them, "
-            "list pairs of different names in a CSV (csv=...), or leave these frames out (on_error: skip)"
-        )
-    both = set(pictures) | set(maps)
-    return {n: (pictures.get(n, f"{images}/{n}.*"), maps.get(n, f"{depths}/{n}.*")) for n in both}
-
-
-def _files(root: Path, folder: str, endings: Sequence[str]) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for path in sorted(visible_files(root / folder, endings)):
-        name = path.relative_to(root / folder).with_suffix("").as_posix()
-        file = path.relative_to(root).as_posix()
-        if name in found:
-            raise ValueError(f"{root}: {found[name]} and {file} have the same name: remove one of them")
-        found[name] = file
-    return found
+        if not same_aspect(*shapes):
+            check_pair(image.shape, image_file, depth.shape, depth_file)
+        return image, depth
 
 
 def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -> tuple[list[int], list[int]]:
@@ -195,11 +229,30 @@ def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) ->
     if count < 2:
         raise ValueError(f"{count} frame cannot be split: use split='all'")
     parts = np.array_split(np.arange(count), min(blocks, count))
-    chosen = np.random.default_rng(seed).permutation(len(parts))
-    chosen = np.sort(chosen[: min(max(1, round(fraction * len(parts))), len(parts) - 1)])
-    val = {int(i) for part in chosen for i in parts[part]}
+    val = {int(i) for part in _drawn(len(parts), fraction, seed) for i in parts[part]}
     beside = {i + step for i in val for step in range(-gap, gap + 1)} - val
     return sorted(val), sorted(i for i in beside if 0 <= i < count)
+
+
+def val_scenes(scenes: Sequence[str], fraction: float, seed: int) -> list[int]:
+    """Return the numbers of frames for validation, whole scenes; none if there are not several scenes.
+
+    Args:
+        scenes: of each frame, "" if not known.
+        fraction: share of the scenes for validation.
+        seed: decides which scenes are for validation.
+    """
+    kinds = sorted(set(scenes), key=natural_order)
+    if len(kinds) < 2 or not 0.0 < fraction < 1.0:
+        return []
+    val = {kinds[i] for i in _drawn(len(kinds), fraction, seed)}
+    return [i for i, scene in enumerate(scenes) if scene in val]
+
+
+def _drawn(count: int, fraction: float, seed: int) -> list[int]:
+    """The numbers of the parts for validation: at least one, not all."""
+    drawn = np.random.default_rng(seed).permutation(count)
+    return sorted(drawn[: min(max(1, round(fraction * count)), count - 1)].tolist())
 
 
 def _named(names: Sequence[str], val_names: Sequence[str] | str | Path, *, wanted: bool) -> list[str]:

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.data.array_files import check_pixels, read_array, read_bytes, read_exr, read_pfm
-from eldenet.data.file_checks import FORMATS, decode_picture, picture_size
+from eldenet.data.file_checks import FORMATS, decode_picture, is_heif, picture_size
 
-IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp")
+IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", ".heic", ".heif")
 ORIENTATION = 0x112  # EXIF
 
 
@@ -121,7 +121,7 @@ def read_image(path: str | Path, *, upright: bool = False, gray: bool = True) ->
     """Read a picture as uint8 RGB, ``(H, W, 3)``.
 
     Args:
-        path: a JPEG, PNG, BMP, TIFF or binary PPM/PGM file; recognized by content, not by its ending.
+        path: a JPEG, PNG, BMP, TIFF, HEIC or binary PPM/PGM file; recognized by content, not by its ending.
         upright: rotate a photo as its EXIF tag says. False for data sets, whose depth is not rotated either.
         gray: whether a gray picture is allowed; in a data set in color it is probably a depth map.
 
@@ -233,10 +233,10 @@ def _suggest(raw: np.ndarray) -> str:
 def _decode(path: Path, flags: int) -> np.ndarray:
     content = read_bytes(path)
     check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
-    if check is None:
+    if check is None and not is_heif(content):
         raise ValueError(f"{path} ({len(content)} bytes) is not a JPEG, PNG, BMP, TIFF or binary PPM/PGM")
     check_pixels(picture_size(content), path)
-    fault = check(content)
+    fault = check(content) if check is not None else ""
     if not fault:
         picture, fault = decode_picture(content, flags)
     if fault:

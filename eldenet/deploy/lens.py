@@ -12,6 +12,7 @@ import numpy as np
 from eldenet.data.kitti_calibration import object_camera
 from eldenet.deploy.predictor import NO_FOCAL
 from eldenet.geometry import PinholeCamera, focal_of_film, focal_of_fov, intrinsic_matrix, pinhole
+from eldenet.system.extras import installed
 
 EXIF_BLOCK, FOCAL_35MM = 0x8769, 0xA405
 
@@ -120,6 +121,10 @@ def exif_focal(path: Path, size: tuple[int, int]) -> float | None:
     """
     from PIL import Image, UnidentifiedImageError
 
+    if installed("pillow_heif"):
+        from pillow_heif import register_heif_opener
+
+        register_heif_opener()
     try:
         with Image.open(path) as photo:
             millimeters = float(photo.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0))

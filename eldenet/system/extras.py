@@ -10,6 +10,7 @@ EXTRAS = {
     "matplotlib": "plots",
     "h5py": "nyu",
     "OpenEXR": "exr",
+    "pillow_heif": "heic",
     "timm": "timm",
     "onnx": "deploy",
     "onnxscript": "deploy",
