@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from eldenet.deploy import runtimes
+    from eldenet.deploy.estimation import estimate
     from eldenet.deploy.predictor import DepthPredictor
     from eldenet.model import DepthNet, EncoderDecoder
     from eldenet.weights import list_models, list_weights
@@ -18,6 +19,7 @@ __all__ = [
     "DepthPredictor",
     "EncoderDecoder",
     "__version__",
+    "estimate",
     "list_models",
     "list_weights",
     "load",
@@ -28,6 +30,7 @@ _MODULE_OF = {
     "DepthNet": "eldenet.model",
     "DepthPredictor": "eldenet.deploy.predictor",
     "EncoderDecoder": "eldenet.model",
+    "estimate": "eldenet.deploy.estimation",
     "list_models": "eldenet.weights",
     "list_weights": "eldenet.weights",
     "load": "eldenet.zoo",

@@ -124,13 +124,13 @@ def python_blocks(page: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text(), re.S)
 
 
-def test_the_readme_snippet_runs(monkeypatch):
+def test_the_readme_snippet_runs(monkeypatch, tmp_path):
     monkeypatch.chdir(REPOSITORY)
     (block,) = python_blocks("README.md")
     names: dict = {}
-    exec(block, names)
-    assert names["depth"].shape == names["frame"].shape[:2]
-    assert 0.5 < np.median(names["depth"]) < 5  # a kitchen [m]
+    exec(block.replace('"depths"', f'"{tmp_path}"'), names)
+    assert 0.5 < np.median(names["result"].depth) < 5  # a kitchen [m]
+    assert (tmp_path / "example_depth.png").is_file()
 
 
 def test_sharing_as_documented(tmp_path, monkeypatch):

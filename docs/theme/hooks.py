@@ -45,6 +45,8 @@ REFERENCE = {
         "Prediction and runtimes",
         "Frames in, meters out, under torch or as an exported file.",
         (
+            "eldenet.deploy.estimation.estimate",
+            "eldenet.deploy.estimation.PictureDepth",
             "eldenet.deploy.predictor.DepthPredictor",
             "eldenet.deploy.runtimes.load",
             "eldenet.deploy.runtimes.Runtime",

@@ -5,7 +5,9 @@ The one given; otherwise that of KITTI's calibration or of the EXIF; otherwise t
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING, Union
 
 import numpy as np
 
@@ -14,7 +16,12 @@ from eldenet.deploy.predictor import NO_FOCAL
 from eldenet.geometry import PinholeCamera, focal_of_film, focal_of_fov, intrinsic_matrix, pinhole
 from eldenet.system.extras import installed
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Photo = Union[Path, "Image"]  # a file, or a PIL picture that was not turned yet
 EXIF_BLOCK, FOCAL_35MM = 0x8769, 0xA405
+UNKNOWN_LENS = "unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
 
 
 class Lens:
@@ -46,41 +53,40 @@ class Lens:
         self.origins: Counter[str] = Counter()
         self.centered = False
 
-    def focal_of(self, size: Sequence[int], path: Path | None = None) -> float | None:
+    def focal_of(self, size: Sequence[int], photo: "Photo | None" = None) -> float | None:
         """Fx [px] of a picture of ``(height, width, ...)``; None: the canonical camera's."""
         if self.canonical_px is None:
             return None
-        focal, origin = self._find(size, path)
-        shown = "unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
+        focal, origin = self._find(size, photo)
         self.origins[
-            shown if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"
+            UNKNOWN_LENS if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"
         ] += 1
         return focal
 
-    def camera_of(self, size: Sequence[int], path: Path | None = None) -> PinholeCamera | None:
+    def camera_of(self, size: Sequence[int], photo: "Photo | None" = None) -> PinholeCamera | None:
         """Camera of a picture of ``(height, width, ...)``, for points and boxes; None: not known.
 
         Only intrinsics and KITTI's calibration have a principal point; else it is the picture's center.
         """
         if self.intrinsics is not None:
             return PinholeCamera(self.intrinsics)
-        if not self.given and path is not None and (camera := object_camera(path)) is not None:
+        if not self.given and isinstance(photo, Path) and (camera := object_camera(photo)) is not None:
             return camera
-        focal, _ = self._find(size, path)
+        focal, _ = self._find(size, photo)
         if focal is None:
             return None
         self.centered = True
         return PinholeCamera(pinhole(focal, focal, (size[1] - 1) / 2, (size[0] - 1) / 2))
 
-    def _find(self, size: Sequence[int], path: Path | None) -> tuple[float | None, str]:
+    def _find(self, size: Sequence[int], photo: "Photo | None") -> tuple[float | None, str]:
         """Fx [px] of a picture, and where it comes from."""
         focal, origin = self.focal, "given"
         if focal is None and self.fov is not None:
             focal = focal_of_fov(self.fov, size[1])
-        if focal is None and path is not None and (camera := object_camera(path)) is not None:
+        if focal is None and isinstance(photo, Path) and (camera := object_camera(photo)) is not None:
             focal, origin = float(camera.intrinsics[0, 0]), "from calib/"
-        if focal is None and path is not None:
-            focal, origin = exif_focal(path, (size[0], size[1])), "from EXIF"
+        if focal is None and photo is not None:
+            focal, origin = exif_focal(photo, (size[0], size[1])), "from EXIF"
         return focal, origin
 
     def describe(self, *, points: bool = False) -> str:
@@ -114,7 +120,7 @@ def needs_lens(what: str, sources: Sequence[Path | str], *, is_video: bool) -> N
             )
 
 
-def exif_focal(path: Path, size: tuple[int, int]) -> float | None:
+def exif_focal(photo: Photo, size: tuple[int, int]) -> float | None:
     """Return fx [px] of a photo of ``(height, width)`` from its EXIF's focal length in 35 mm; None without.
 
     Turning a photo upright does not change the result: it has the same diagonal and square pixels.
@@ -126,8 +132,8 @@ def exif_focal(path: Path, size: tuple[int, int]) -> float | None:
 
         register_heif_opener()
     try:
-        with Image.open(path) as photo:
-            millimeters = float(photo.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0))
+        with Image.open(photo) if isinstance(photo, Path) else nullcontext(photo) as opened:
+            millimeters = float(opened.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0))
     except (UnidentifiedImageError, OSError, ValueError, TypeError, SyntaxError):
         return None  # the picture itself was read; what its EXIF holds is not worth an error
     return focal_of_film(millimeters, size) if millimeters > 0 else None
