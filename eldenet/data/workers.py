@@ -63,7 +63,7 @@ def _end_with_trainer() -> None:
     if not hasattr(signal, "sigtimedwait"):  # macOS
         trainer.join()
     while trainer.is_alive():
-        received = signal.sigtimedwait([signal.SIGTERM], 1.0)
+        received = signal.sigtimedwait([signal.SIGTERM], 0.5)
         if received is not None and received.si_pid == trainer.pid:
             break
     os._exit(1)

@@ -107,10 +107,18 @@ def test_a_killed_trainer_leaves_no_process(tmp_path, command_server):
     assert done.returncode == -signal.SIGKILL, done.stderr
     pids = [int(pid) for pid in (tmp_path / "pids").read_text().split()]
     assert len(pids) == 5  # the server, two workers for training and two for validation
-    deadline = time.monotonic() + 5
-    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+    deadline = time.monotonic() + 10  # two seconds on an idle machine
+    while any(map(runs, pids)):
         assert time.monotonic() < deadline
         time.sleep(0.1)
+
+
+def runs(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
 
 
 def test_a_killed_worker_ends_the_training_in_one_line(tmp_path):
