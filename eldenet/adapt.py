@@ -14,11 +14,10 @@ from typing import Any
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.compose import REQUIRED
 from eldenet.data.splits import check_folders
+from eldenet.geometry import check_camera_height, intrinsic_matrix
 from eldenet.system.files import sole_writer
 from eldenet.system.resources import choose_resources
 from eldenet.weights import find_checkpoint
-
-MIN_HEIGHT, MAX_HEIGHT = 0.05, 5.0  # of the optical center above the floor [m]
 
 
 @dataclass(frozen=True)
@@ -56,12 +55,8 @@ class AdaptSettings:
             raise ValueError(
                 f"camera_pitch={pitch:g}: give degrees below the horizon, between -90 and 90, or null"
             )
-        if height is not None and not MIN_HEIGHT <= height <= MAX_HEIGHT:
-            looks = f"; {height:g} looks like centimeters: give {height / 100:g}"
-            raise ValueError(
-                f"camera_height={height:g}: give it in meters, from the floor to the lens, {MIN_HEIGHT} to "
-                f"{MAX_HEIGHT:g}" + looks * (MAX_HEIGHT < height <= 100 * MAX_HEIGHT)
-            )
+        if height is not None:
+            check_camera_height(height)
 
 
 def adapt(s: AdaptSettings) -> bool:
@@ -93,7 +88,6 @@ def _tune(s: AdaptSettings) -> bool:
 
 def _calibrate(s: AdaptSettings) -> bool:
     from eldenet.deploy.prediction import find_source
-    from eldenet.geometry import intrinsic_matrix
 
     if s.source is None:
         raise ValueError(

@@ -4,9 +4,12 @@ Convention: pixel centers are whole numbers (the center of the first pixel is (0
 z forward, as in OpenCV. So a resize by s moves a point u to (u + 0.5) * s - 0.5.
 """
 
+import logging
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +21,15 @@ SAME_ASPECT = 0.02  # share by which a resize may stretch one side: what roundin
 SAME_SURFACE = 0.05  # share by which the depth of neighboring pixels of one surface may differ
 BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once a network has normalized it
 FILM_DIAGONAL = 43.27  # of 35 mm film [mm]
+ANY_LENS = "ELDENET_ANY_LENS"  # environment variable: 1 lets any lens through
+DEGREES, ALL_DEGREES = (4.0, 150.0), (0.01, 179.9)  # horizontal fields of view, and with ANY_LENS
+LEAST_FOCAL = 0.5 / math.tan(math.radians(DEGREES[1]) / 2)  # in widths of the picture
+MAX_SKEW, MAX_STRETCH = 0.01, 2.0  # relative to fx; fx / fy or fy / fx
+MOST_SENSOR = 55.0  # side of an image sensor [mm]
+CENTRAL = (0.3, 0.7)  # where principal points lie, in widths and heights of the picture
+_OR_ANY_LENS = f"; {ANY_LENS}=1 allows any lens"
+LARGEST = 100.0  # of depth in meters: a camera also sees something near
+MOSTLY = 0.9  # share of the known depth above it that shows another unit
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
@@ -33,10 +45,14 @@ def intrinsic_matrix(intrinsics: Sequence[Any] | np.ndarray, *, check: bool = Tr
         check: False takes any numbers, for callers that deal with them themselves.
 
     Raises:
-        ValueError: they are neither; or, with ``check``, not finite, or a focal length is not above 0.
+        ValueError: they are neither; or, with ``check``, no matrix of a camera: not finite, a focal length
+            not above 0, another last row than 0 0 1, a skew, or pixels that are far from square.
     """
     try:
-        matrix = np.asarray(intrinsics, np.float64)
+        given = np.asarray(intrinsics, dtype=object)
+        matrix = given.astype(np.float64)
+        if any(isinstance(value, bool | np.bool_) for value in given.flat):
+            matrix = np.empty(0)
     except (TypeError, ValueError):  # no numbers, or rows of several lengths
         matrix = np.empty(0)
     if matrix.shape == (4,):
@@ -45,22 +61,120 @@ def intrinsic_matrix(intrinsics: Sequence[Any] | np.ndarray, *, check: bool = Tr
         not check or (np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0)
     )
     if not is_camera:
-        given = np.asarray(intrinsics, dtype=object).tolist()  # in one line
         raise ValueError(
-            f"intrinsics={given}: give [fx, fy, cx, cy] of a calibrated camera in pixels, fx and fy above 0, "
-            "or the (3, 3) matrix"
+            f"intrinsics={_shown(intrinsics)}: give [fx, fy, cx, cy] of a calibrated camera in pixels, fx "
+            "and fy above 0, or the (3, 3) matrix"
         )
+    if check and (fault := _fault_of(matrix)):
+        raise ValueError(f"intrinsics={_shown(intrinsics)}: {fault}")
     return matrix
 
 
-def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int]) -> None:
-    """Raise ValueError if the principal point lies outside an image of ``(height, width)`` [px]."""
-    column, row = intrinsics[:2, 2]
-    if not (0 <= column < size[1] and 0 <= row < size[0]):
+def _shown(intrinsics: Any) -> Any:
+    """Intrinsics in one line."""
+    return np.asarray(intrinsics, dtype=object).tolist()
+
+
+def _fault_of(matrix: np.ndarray) -> str:
+    """What makes finite numbers ``(3, 3)`` no matrix of a camera; empty: nothing, at any size of pictures."""
+    fx, skew, fy = matrix[0, 0], matrix[0, 1], matrix[1, 1]
+    if not np.allclose(matrix[2], (0, 0, 1), rtol=0, atol=1e-6):
+        if np.allclose(matrix[:2, 2], 0):
+            return (
+                "the last row is not 0 0 1, but the last column is: give the transpose (as MATLAB stores it)"
+            )
+        return "the last row is not 0 0 1: give the matrix in pixels, not divided or multiplied by anything"
+    if any_lens():
+        return ""
+    if abs(matrix[1, 0]) > MAX_SKEW * fx or abs(skew) > MAX_SKEW * fx:
+        return "the numbers beside fx and fy are not 0: give the matrix of rectified pictures, without skew"
+    if not 1 / MAX_STRETCH <= fx / fy <= MAX_STRETCH:
+        normal = max(matrix[:2, 2]) <= 1 and ": numbers divided by width and height? multiply them"
+        return f"fx is {fx / fy:.2g} times fy{normal or ': give fx, fy, cx, cy in this order'}{_OR_ANY_LENS}"
+    return ""
+
+
+def any_lens() -> bool:
+    """Whether ``$ELDENET_ANY_LENS`` lets lenses through that look like a wrong unit."""
+    return os.environ.get(ANY_LENS, "0") not in ("", "0")
+
+
+def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int], *, inside: bool = True) -> None:
+    """Refuse intrinsics ``(3, 3)`` [px] that no camera with pictures of ``(height, width)`` [px] has.
+
+    A principal point far from the middle is only warned of, once: a picture may be cut from a larger one.
+
+    Args:
+        intrinsics: as :func:`intrinsic_matrix` returns them.
+        size: of the pictures.
+        inside: whether the principal point must lie in the picture; False where it does not count.
+
+    Raises:
+        ValueError: :func:`intrinsic_matrix` refuses them, the horizontal field of view is not 4 to 150
+            degrees (``ELDENET_ANY_LENS=1`` allows any), or the principal point lies outside the picture.
+    """
+    matrix = intrinsic_matrix(intrinsics)
+    fx, column, row = (float(matrix[at]) for at in ((0, 0), (0, 2), (1, 2)))
+    height, width = size[0], size[1]
+    middle = f"{max(1, 2 * column + 1):.0f} x {max(1, 2 * row + 1):.0f}"  # of which it is the middle
+    at = f"the principal point ({column:g}, {row:g})"
+    centered = all(CENTRAL[0] <= share <= CENTRAL[1] for share in (column / width, row / height))
+    hint = ""
+    if max(column, row) <= 1 and not centered:
+        pixels = f"{fx * width:g}, {matrix[1, 1] * height:g}, {column * width:g}, {row * height:g}"
+        hint = f": numbers divided by the picture's size? in pixels they are {pixels}"
+    elif not centered:
+        of_sensor = ", or in mm of the sensor" * (column <= MOST_SENSOR / 2)
+        hint = f", and {at} is the middle of a picture of about {middle}: of another size{of_sensor}?"
+    if inside and not (0 <= column < width and 0 <= row < height):
         raise ValueError(
-            f"the principal point ({column:g}, {row:g}) lies outside the picture, which is {size[1]} x "
-            f"{size[0]}: give the intrinsics of pictures of this size"
+            f"{at} lies outside the picture, which is {width} x {height}: give the intrinsics of pictures of "
+            f"this size; these would be right at about {middle}"
         )
+    check_focal(fx, size, f"fx={fx:g} of the intrinsics", hint)
+    if not centered and not any_lens():
+        _warn(
+            f"{at} of the intrinsics is far from the middle of a picture of {width} x {height}: they would "
+            f"be right at about {middle}; if that is the size of the calibration, scale all four to this one"
+        )
+
+
+@lru_cache(maxsize=1000)
+def _warn(line: str) -> None:
+    """Warn of the same thing once."""
+    logging.getLogger("eldenet").warning("%s", line)
+
+
+def check_focal(focal: float, size: tuple[int, int], name: str, hint: str = "") -> None:
+    """Refuse fx [px] of a lens that no picture of ``(height, width)`` [px] has.
+
+    Args:
+        focal: finite and above 0.
+        size: of the picture.
+        name: of what was given, for the message.
+        hint: what else may be wrong, instead of the unit.
+
+    Raises:
+        ValueError: the field of view is not 4 to 150 degrees, and ``ELDENET_ANY_LENS`` does not allow any.
+    """
+    width = size[1]
+    degrees = 2 * math.degrees(math.atan(width / 2 / focal))
+    least, most = ALL_DEGREES if any_lens() else DEGREES
+    if least <= degrees <= most:
+        return
+    if not hint and degrees < least:
+        hint = ": a focal length in micrometers, or of a larger picture?"
+    elif not hint and focal < 0.1:
+        hint = ": a focal length in meters?"
+    elif not hint and focal <= 3:
+        hint = f": a focal length divided by the width? then it is {focal * width:g} px"
+    elif not hint:
+        film = focal_of_film(focal, size)
+        hint = f": a focal length in mm? of 35 mm film it would be {film:.0f} px"
+    raise ValueError(
+        f"{name} is a horizontal field of view of {degrees:.3g} degrees in a picture {width} px wide{hint}; "
+        f"give fx in pixels, or fov= in degrees, {least:g} to {most:g}{_OR_ANY_LENS}"
+    )
 
 
 def resize_intrinsics(
@@ -73,12 +187,29 @@ def resize_intrinsics(
 
 
 def focal_of_fov(degrees: float, width: int) -> float:
-    """Return fx [px] of a picture ``width`` pixels wide with a horizontal field of view in degrees."""
-    if isinstance(degrees, str) or not 0 < degrees < 180:
+    """Return fx [px] of a picture ``width`` pixels wide with a horizontal field of view in degrees.
+
+    Raises:
+        ValueError: it is no number from 4 to 150 (``ELDENET_ANY_LENS=1`` allows any).
+    """
+    least, most = ALL_DEGREES if any_lens() else DEGREES
+    given = as_number(degrees)
+    if not least <= given <= most:
+        looks = least <= math.degrees(given) <= most
+        hint = f" ({given:g} radians are {math.degrees(given):.4g} degrees)" * looks
         raise ValueError(
-            f"fov={degrees!r}: give the horizontal field of view as a number of degrees above 0 and below 180"
+            f"fov={degrees!r}: give the horizontal field of view as a number of degrees, {least:g} to "
+            f"{most:g}{hint}{_OR_ANY_LENS}"
         )
-    return width / 2 / math.tan(math.radians(degrees) / 2)
+    return width / 2 / math.tan(math.radians(given) / 2)
+
+
+def as_number(value: Any) -> float:
+    """Return a number as float; NaN of anything else, also of True and of text."""
+    try:
+        return math.nan if isinstance(value, str | bool | np.bool_) else float(value)
+    except (TypeError, ValueError):
+        return math.nan
 
 
 def focal_of_film(millimeters: float, size: tuple[int, int]) -> float:
@@ -257,11 +388,16 @@ class PinholeCamera:
                 f"intrinsics, rotation, translation are {shapes}: give (3, 3) with focal lengths above 0, "
                 "(3, 3), (3,); eldenet.geometry.pinhole makes the first"
             )
+        intrinsic_matrix(self.intrinsics)
 
     @classmethod
     def from_projection(cls, projection: np.ndarray) -> "PinholeCamera":
-        """The camera of a rectified projection ``K [I | K^-1 p4]`` ``(3, 4)``, such as KITTI's P2."""
-        intrinsics = np.array(projection[:, :3], dtype=np.float64)
+        """The camera of a rectified projection ``K [I | K^-1 p4]`` ``(3, 4)``, such as KITTI's P2.
+
+        Raises:
+            ValueError: ``K`` is not that of a camera, see :func:`intrinsic_matrix`.
+        """
+        intrinsics = intrinsic_matrix(projection[:, :3])
         return cls(intrinsics, translation=-np.linalg.solve(intrinsics, projection[:, 3]))
 
     @property
@@ -283,6 +419,33 @@ class PinholeCamera:
         seen = self.to_camera(points)
         z = np.where(seen[..., 2:] > 1e-6, seen[..., 2:], np.nan)
         return np.asarray((seen / z) @ self.intrinsics.T)[..., :2]
+
+
+def check_meters(depth: np.ndarray) -> None:
+    """Raise ``ValueError`` for millimeters in ``depth`` of any shape: as meters, all would seem far.
+
+    These are whole numbers, and floats of which nearly all known ones are above ``LARGEST``. Infinite depth,
+    which means nothing in range, does not count.
+    """
+    if depth.dtype.kind in "iub":
+        raise ValueError(f"depth is of type {depth.dtype}: give meters as floats; divide millimeters by 1000")
+    known = np.count_nonzero((depth > 0) & (depth < np.inf))
+    large = np.count_nonzero((depth > LARGEST) & (depth < np.inf))
+    if known and large >= MOSTLY * known:
+        raise ValueError(
+            f"{large / known:.0%} of the known depth is above {LARGEST:g}: give meters, inf where nothing "
+            "is in range; divide millimeters by 1000"
+        )
+
+
+def check_camera_height(height: float, least: float = 0.05, most: float = 5.0) -> None:
+    """Raise ``ValueError`` unless the height of a camera above the floor is ``least`` to ``most`` [m]."""
+    if isinstance(height, bool) or not least <= height <= most:
+        looks = f"; {height:g} looks like centimeters: give {height / 100:g}"
+        raise ValueError(
+            f"camera_height={height:g}: give it in meters, from the floor to the lens, {least:g} to {most:g}"
+            + looks * (most < height <= 500)
+        )
 
 
 def in_meters(depth: "Tensor", focal: "float | Tensor | None", canonical_px: float | None) -> "Tensor":

@@ -8,7 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kornia.geometry.depth import depth_to_3d
 
-from eldenet.geometry import back_project, crop_intrinsics, intrinsic_matrix, pinhole, resize_intrinsics
+from eldenet.geometry import (
+    PinholeCamera,
+    back_project,
+    check_camera_height,
+    check_intrinsics,
+    crop_intrinsics,
+    focal_of_fov,
+    intrinsic_matrix,
+    pinhole,
+    resize_intrinsics,
+)
 
 K = pinhole(518.9, 519.5, 325.6, 253.7)
 
@@ -95,3 +105,91 @@ def test_unchecked_intrinsics_keep_their_numbers() -> None:
     assert np.isnan(intrinsic_matrix((np.nan, 22, 7, 6), check=False)[0, 0])
     with pytest.raises(ValueError, match=r"give \[fx, fy, cx, cy\]"):
         intrinsic_matrix((np.nan, 22), check=False)
+
+
+def judged(intrinsics, size=(480, 640)) -> None:
+    check_intrinsics(intrinsic_matrix(intrinsics), size)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "unit"),
+    [
+        ((26, 26, 320, 240), "171 degrees in a picture 640 px wide: a focal length in mm"),
+        ((0.0042, 0.0042, 320, 240), "a focal length in meters"),
+        ((0.81, 0.81, 320, 240), "a focal length divided by the width"),
+        ((0.81, 1.08, 0.5, 0.5), "divided by the picture's size.* 518.4, 518.4, 320, 240"),
+        ((1e300, 1e300, 320, 240), "3.* degrees"),
+        ((26, 26, 18, 12), "in mm of the sensor"),
+        ((1036, 1036, 640, 480), "outside the picture.* about 1281 x 961"),
+        ((518, 150, 320, 240), "fx is 3.5 times fy: give fx, fy, cx, cy in this order"),
+        ((True, 518, 320, 240), r"\[True, 518, 320, 240\]: give"),
+        ([[518, 0, 0], [0, 518, 0], [320, 240, 1]], "give the transpose"),
+        ((K / 640).tolist(), "the last row is not 0 0 1"),
+        ([[518, 30, 320], [0, 518, 240], [0, 0, 1]], "without skew"),
+        (np.eye(3), "180 degrees"),
+    ],
+)
+def test_intrinsics_in_another_unit_are_refused_with_the_likely_one(wrong, unit) -> None:
+    with pytest.raises(ValueError, match=unit) as error:
+        judged(wrong)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("camera", "size"),
+    [
+        ((518.9, 519.5, 325.6, 253.7), (480, 640)),  # NYU
+        ((721.5, 721.5, 609.6, 172.9), (375, 1242)),  # KITTI
+        ((721.5, 721.5, 596.6, 149.9), (352, 1216)),  # its crop
+        ((2262.5, 2265.3, 1096.98, 513.14), (1024, 2048)),  # Cityscapes
+        ((1036, 1036, 319.5, 239.5), (480, 640)),  # a crop of 2x
+        ((1454, 1454, 2015, 1511), (3024, 4032)),  # a phone's wide lens, 108 degrees
+        ((7300, 7300, 319.5, 239.5), (480, 640)),  # 5 degrees
+        ((86, 86, 319.5, 239.5), (480, 640)),  # 150 degrees
+        ([[518, 0.5, 320], [0, 518, 240], [0, 0, 1]], (480, 640)),
+    ],
+)
+def test_lenses_that_exist_pass_without_a_word(camera, size, caplog) -> None:
+    judged(camera, size)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(("factor", "right"), [(0.5, "320 x 240"), (0.45, "288 x 216"), (1.6, "1024 x 768")])
+def test_intrinsics_of_another_size_name_the_size_that_they_are_right_for(factor, right, caplog) -> None:
+    other = resize_intrinsics(pinhole(520, 520, 319.5, 239.5), (480, 640), (480 * factor, 640 * factor))
+    for _ in range(2):
+        check_intrinsics(other, (480, 640))
+    assert [f"right at about {right}" in record.getMessage() for record in caplog.records] == [True]
+
+
+def test_one_variable_lets_any_lens_through(monkeypatch: pytest.MonkeyPatch, caplog) -> None:
+    monkeypatch.setenv("ELDENET_ANY_LENS", "1")
+    for camera in ((26, 26, 320, 240), (518, 150, 100, 240), (40_000, 40_000, 320, 240)):
+        judged(camera)
+    assert focal_of_fov(170, 640) == pytest.approx(28, abs=0.1)
+    assert not caplog.records
+    for wrong in ((1e300, 1e300, 320, 240), [[518, 0, 0], [0, 518, 0], [320, 240, 1]]):
+        with pytest.raises(ValueError, match=r"degrees|transpose"):
+            judged(wrong)
+
+
+@pytest.mark.parametrize(
+    ("fov", "said"),
+    [(1.15, "1.15 radians are 65.89 degrees"), (170, "4 to 150"), (True, "True")],
+)
+def test_a_field_of_view_is_in_degrees(fov, said) -> None:
+    with pytest.raises(ValueError, match=said):
+        focal_of_fov(fov, 640)
+
+
+@pytest.mark.parametrize(("height", "said"), [(80, "centimeters: give 0.8"), (0.001, "in meters")])
+def test_a_camera_height_is_in_meters(height, said) -> None:
+    with pytest.raises(ValueError, match=said):
+        check_camera_height(height)
+
+
+def test_a_camera_of_a_projection_of_zeros_is_refused() -> None:
+    with pytest.raises(ValueError, match="fx and fy above 0"):
+        PinholeCamera.from_projection(np.zeros((3, 4)))
+    with pytest.raises(ValueError, match="transpose"):
+        PinholeCamera(pinhole(440, 440, 240, 160).T)

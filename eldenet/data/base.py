@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 
 from eldenet.data.cache import FrameCache, open_cache
 from eldenet.data.paths import check_files, missing_files
-from eldenet.geometry import resize_image, resize_intrinsics, resize_sparse
+from eldenet.geometry import check_intrinsics, resize_image, resize_intrinsics, resize_sparse
 from eldenet.system.checks import one_of
 from eldenet.system.digests import digest_of
 from eldenet.types import DepthSample, Frame
@@ -107,6 +107,21 @@ class DepthDataset(Dataset[DepthSample]):
         """Read frame ``index`` from disk, decoded to RGB and meters."""
         raise NotImplementedError
 
+    def read_frame(self, index: int) -> Frame:
+        """Read frame ``index`` from disk and check that its intrinsics are those of a camera.
+
+        Raises:
+            ValueError: a file is damaged, or no camera with pictures of this size has such intrinsics.
+        """
+        frame = self.load_frame(index)
+        if frame.intrinsics is not None:
+            try:
+                height, width = frame.image.shape[:2]
+                check_intrinsics(frame.intrinsics, (height, width), inside=False)
+            except ValueError as error:
+                raise ValueError(f"{frame.name}: {error}") from error
+        return frame
+
     def frame_files(self, index: int) -> Sequence[Path]:
         """Return the files that frame ``index`` is read from; a disk cache watches them for changes."""
         raise ValueError(
@@ -137,7 +152,7 @@ class DepthDataset(Dataset[DepthSample]):
         reasons = {}
         for index in range(len(self)):
             try:
-                self.load_frame(index)
+                self.read_frame(index)
             except (ValueError, OSError) as error:
                 reasons[index] = str(error)
         self.leave_out(reasons)
@@ -205,7 +220,7 @@ class DepthDataset(Dataset[DepthSample]):
 
     def read_ready(self, index: int) -> Frame:
         """Read frame ``index`` from its files and resize it to ``resize_on_load``: what a cache stores."""
-        frame = self.load_frame(index)
+        frame = self.read_frame(index)
         return frame if self.resize_on_load is None else self._resized(frame, self.resize_on_load)
 
     def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:

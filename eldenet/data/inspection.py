@@ -206,7 +206,7 @@ def check_split(
         advance(1)
         found.looked_at += 1
         try:
-            image, depth, intrinsics, name, _ = dataset.load_frame(index)
+            image, depth, intrinsics, name, _ = dataset.read_frame(index)
         except (ValueError, OSError) as error:
             found.unreadable[dataset.names[index]] = str(error)
             continue

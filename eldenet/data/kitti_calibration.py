@@ -68,15 +68,27 @@ def object_camera(picture: Path) -> PinholeCamera | None:
     calibration = picture.parent.parent / "calib" / f"{picture.stem}.txt"
     if folder != "image" or number not in ("0", "1", "2", "3") or not calibration.is_file():
         return None
-    return PinholeCamera.from_projection(entry(calibration, f"P{number}", (3, 4)))
+    return projection_camera(calibration, f"P{number}")
+
+
+def projection_camera(path: Path, key: str) -> PinholeCamera:
+    """Return the camera of a projection ``(3, 4)`` in a calibration file.
+
+    Raises:
+        ValueError: the projection is missing, or that of no camera.
+    """
+    matrix = entry(path, key, (3, 4))
+    try:
+        return PinholeCamera.from_projection(matrix)
+    except ValueError as error:
+        raise ValueError(
+            f"{path}: {key} has no focal length of a camera ({error}): fetch it again"
+        ) from error
 
 
 def rectified_intrinsics(folder: Path, camera: int) -> np.ndarray:
     """Return the intrinsics ``(3, 3)`` [px] of the rectified pictures of ``camera`` (0 to 3) on a date."""
-    matrix = entry(folder / CAM_TO_CAM, f"P_rect_{camera:02d}", (3, 4))[:, :3]
-    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
-        raise ValueError(f"{folder / CAM_TO_CAM}: P_rect_{camera:02d} has no focal length: fetch it again")
-    return np.array(matrix)
+    return projection_camera(folder / CAM_TO_CAM, f"P_rect_{camera:02d}").intrinsics
 
 
 def velodyne_to_image(folder: Path, camera: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 The one given; otherwise that of KITTI's calibration or of the EXIF; otherwise the canonical one.
 """
 
+import logging
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -13,7 +14,15 @@ import numpy as np
 
 from eldenet.data.kitti_calibration import object_camera
 from eldenet.deploy.predictor import NO_FOCAL
-from eldenet.geometry import PinholeCamera, focal_of_film, focal_of_fov, intrinsic_matrix, pinhole
+from eldenet.geometry import (
+    PinholeCamera,
+    check_focal,
+    check_intrinsics,
+    focal_of_film,
+    focal_of_fov,
+    intrinsic_matrix,
+    pinhole,
+)
 from eldenet.system.extras import installed
 
 if TYPE_CHECKING:
@@ -67,10 +76,15 @@ class Lens:
         """Camera of a picture of ``(height, width, ...)``, for points and boxes; None: not known.
 
         Only intrinsics and KITTI's calibration have a principal point; else it is the picture's center.
+
+        Raises:
+            ValueError: no camera with pictures of this size has such a lens.
         """
-        if self.intrinsics is not None:
-            return PinholeCamera(self.intrinsics)
-        if not self.given and isinstance(photo, Path) and (camera := object_camera(photo)) is not None:
+        camera = None if self.intrinsics is None else PinholeCamera(self.intrinsics)
+        if not self.given and isinstance(photo, Path):
+            camera = object_camera(photo)
+        if camera is not None:
+            check_intrinsics(camera.intrinsics, (size[0], size[1]))
             return camera
         focal, _ = self._find(size, photo)
         if focal is None:
@@ -81,6 +95,8 @@ class Lens:
     def _find(self, size: Sequence[int], photo: "Photo | None") -> tuple[float | None, str]:
         """Fx [px] of a picture, and where it comes from."""
         focal, origin = self.focal, "given"
+        if focal is not None:
+            check_focal(focal, (size[0], size[1]), f"focal={focal:g}")
         if focal is None and self.fov is not None:
             focal = focal_of_fov(self.fov, size[1])
         if focal is None and isinstance(photo, Path) and (camera := object_camera(photo)) is not None:
@@ -136,4 +152,12 @@ def exif_focal(photo: Photo, size: tuple[int, int]) -> float | None:
             millimeters = float(opened.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0))
     except (UnidentifiedImageError, OSError, ValueError, TypeError, SyntaxError):
         return None  # the picture itself was read; what its EXIF holds is not worth an error
-    return focal_of_film(millimeters, size) if millimeters > 0 else None
+    if not millimeters > 0:
+        return None
+    focal = focal_of_film(millimeters, size)
+    try:
+        check_focal(focal, size, f"the EXIF's {millimeters:g} mm")
+    except ValueError as error:
+        logging.getLogger("eldenet").warning("%s: %s; the EXIF's lens is not used", photo, error)
+        return None
+    return focal

@@ -15,6 +15,9 @@ from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
 from eldenet.geometry import (
     BORDER_COLOR,
+    as_number,
+    check_focal,
+    check_intrinsics,
     fit_into,
     focal_of_fov,
     intrinsic_matrix,
@@ -179,7 +182,7 @@ class DepthPredictor:
             given = f"{frame.shape} {frame.dtype}" if of_array else type(frame).__name__
             raise ValueError(f"frame is {given}: give the picture, (H, W, 3) uint8 RGB")
         size = (frame.shape[0], frame.shape[1])
-        focal = focal_length(intrinsics, fov, size[1], focal)
+        focal = focal_length(intrinsics, fov, size, focal)
         picture, (depth, *sigma), scale = self._maps(frame)
         spread = [each / depth for each in sigma]  # it stays what it is where depth changes
         if not np.isfinite(depth).all():
@@ -237,10 +240,10 @@ class DepthPredictor:
 def focal_length(
     intrinsics: "Sequence[float] | np.ndarray | None",
     fov: float | None,
-    width: int,
+    size: tuple[int, int],
     focal: float | None = None,
 ) -> float | None:
-    """Return fx [px] of a frame ``width`` pixels wide; None if nothing is given.
+    """Return fx [px] of a frame of ``(height, width)`` [px]; None if nothing is given.
 
     Raises:
         ValueError: several are given, or one is out of its range.
@@ -250,12 +253,18 @@ def focal_length(
     if len(names) > 1:
         raise ValueError(f"{' and '.join(names)} are given: give only one of them")
     if fov is not None:
-        return focal_of_fov(fov, width)
+        return focal_of_fov(fov, size[1])
     if focal is not None:
-        if isinstance(focal, str) or not (focal > 0 and math.isfinite(focal)):
+        fx = as_number(focal)
+        if not 0 < fx < math.inf:
             raise ValueError(f"focal={focal!r}: give fx of the frame in pixels, a number above 0")
-        return float(focal)
-    return None if intrinsics is None else float(intrinsic_matrix(intrinsics)[0, 0])
+        check_focal(fx, size, f"focal={fx:g}")
+        return fx
+    if intrinsics is None:
+        return None
+    matrix = intrinsic_matrix(intrinsics)
+    check_intrinsics(matrix, size, inside=False)
+    return float(matrix[0, 0])
 
 
 def for_camera(

@@ -18,7 +18,14 @@ MAX_LATENCY = 1.0  # [s]
 def check_latency(latency: float) -> None:
     """Raise ``ValueError`` for a latency [s] out of range."""
     if not 0 <= latency <= MAX_LATENCY:
-        raise ValueError(f"latency={latency}: give seconds from 0 to {MAX_LATENCY:g}")
+        hint = milliseconds_hint(latency)
+        raise ValueError(f"latency={latency}: give seconds from 0 to {MAX_LATENCY:g}{hint}")
+
+
+def milliseconds_hint(latency: float) -> str:
+    """What a message adds where a latency [s] out of range looks like milliseconds."""
+    fits = 5 * MAX_LATENCY <= latency <= 1000 * MAX_LATENCY
+    return f"; {latency:g} looks like milliseconds: give {latency / 1000:g}" * fits
 
 
 class Predictive:

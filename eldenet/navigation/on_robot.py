@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.geometry import intrinsic_matrix
+from eldenet.geometry import check_meters, intrinsic_matrix
 from eldenet.navigation.latency import MAX_LATENCY, ahead, check_latency
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
-from eldenet.navigation.ranges import CAUTION, check_meters, depth_to_ranges
+from eldenet.navigation.ranges import CAUTION, depth_to_ranges
 from eldenet.simulation.robot import ROBOT
 from eldenet.uncertainty import DepthEstimate
 
 MOST_UNSURE = 0.85  # of a depth map: a robot that sees less stands still
+TURN = 2 * math.pi + 1e-6  # [rad], but for rounding
 POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
 
 
@@ -98,8 +99,9 @@ class OnRobot:
 
         Raises:
             ValueError: ``depth`` has another shape or is in millimeters, ``sigma`` is not of its shape, a
-                pose, goal or intrinsics have another length, a depth map has no intrinsics, its camera sees
-                less than 25 degrees to each side, or ``latency`` or ``max_speed`` is out of range.
+                pose, goal or intrinsics have another length, the goal's bearing is in degrees, a depth map
+                has no intrinsics or those of no lens, its camera sees less than 25 degrees to each side, or
+                ``camera_height``, ``latency`` or ``max_speed`` is out of range.
         """
         check_latency(latency)
         if not 0 < max_speed < math.inf:
@@ -107,6 +109,7 @@ class OnRobot:
         depth = np.asarray(depth)  # its own type, which as_ranges checks
         sigma = None if sigma is None else np.asarray(sigma, np.float64)
         now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
+        check_bearing(goal_row[0, 1], now[0, 2])
         then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
         intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
         if intrinsics is not None and not np.isfinite(intrinsics).all():
@@ -145,6 +148,19 @@ class OnRobot:
             self.observer.last[0] = command
         speed, turn = command.tolist()
         return speed, turn
+
+
+def check_bearing(bearing: float, heading: float) -> None:
+    """Raise ``ValueError`` for a goal's bearing that looks like degrees; infinite and nan pass.
+
+    A heading that was never wrapped may be any number of turns, and so may a bearing that takes it off.
+    """
+    if TURN < abs(bearing) < math.inf and not abs(bearing + heading) <= TURN:
+        raise ValueError(
+            f"goal: a bearing of {bearing:g} is more than a turn: degrees? Give radians, counter-clockwise "
+            f"from ahead ({bearing:g} degrees are {math.radians(bearing):.3g}); math.remainder(bearing, "
+            "math.tau) wraps others"
+        )
 
 
 def _row(name: str, values: Sequence[float], parts: Sequence[str]) -> np.ndarray:

@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.geometry import intrinsic_matrix
+from eldenet.geometry import check_camera_height, check_intrinsics, check_meters, intrinsic_matrix
 from eldenet.simulation.robot import ROBOT, Robot
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
 QUANTILE = 0.10  # of a column's pixels: its nearest surface
 OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong (a dead pixel column)
 LEAST_VIEW = 50.0  # of a camera, half of it to each side [degrees]
-HIGHEST_CAMERA = 5.0  # no robot is taller; centimeters given as meters would hide a wall [m]
+LOWEST_CAMERA = 0.01  # [m]
 CAUTION = 0.8  # of the interval of depth whose low end is how near things may be
-LARGEST = 100.0  # of depth in meters: a camera also sees something near
 _BEYOND = 100.0  # stands for infinite [m]
 
 
@@ -56,11 +55,9 @@ def depth_to_ranges(
     """
     check_meters(depth)
     height, width = depth.shape
-    if not 0 < camera_height <= HIGHEST_CAMERA:
-        raise ValueError(
-            f"camera_height={camera_height}: give meters above the floor, from 0 to {HIGHEST_CAMERA:g}"
-        )
+    check_camera_height(camera_height, LOWEST_CAMERA)  # centimeters would hide a wall
     intrinsics = intrinsic_matrix(intrinsics)
+    check_intrinsics(intrinsics, (height, width))
     column = columns_of(width, intrinsics, robot)
     right = (np.arange(width) - intrinsics[0, 2]) / intrinsics[0, 0]
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
@@ -88,23 +85,6 @@ def depth_to_ranges(
         if enough.size:
             out[number] = values[first + enough[0]]
     return np.clip(out, robot.near, robot.far)
-
-
-def check_meters(depth: np.ndarray) -> None:
-    """Raise ``ValueError`` for millimeters in ``depth`` of any shape: as meters, all would seem far.
-
-    These are whole numbers, and floats of which nearly all known ones are above ``LARGEST``. Infinite depth,
-    which means nothing in range, does not count.
-    """
-    if depth.dtype.kind in "iub":
-        raise ValueError(f"depth is of type {depth.dtype}: give meters as floats; divide millimeters by 1000")
-    known = np.count_nonzero((depth > 0) & (depth < np.inf))
-    large = np.count_nonzero((depth > LARGEST) & (depth < np.inf))
-    if known and large >= (1 - QUANTILE) * known:
-        raise ValueError(
-            f"{large / known:.0%} of the known depth is above {LARGEST:g}: give meters, inf where nothing "
-            "is in range; divide millimeters by 1000"
-        )
 
 
 def _rows_at(

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from eldenet.boxes import Boxes3D
-from eldenet.navigation.latency import MAX_LATENCY
+from eldenet.navigation.latency import MAX_LATENCY, milliseconds_hint
 from eldenet.navigation.localization import Pose
 from eldenet.navigation.observer import SECTORS
 from eldenet.navigation.ranges import LEAST_VIEW
@@ -119,6 +119,7 @@ class SimulatedSensor:
         if not (0 <= latency <= MAX_LATENCY and abs(steps - round(steps)) < 1e-6):
             raise ValueError(
                 f"sensor.latency={latency}: give 0 to {MAX_LATENCY} s in steps of {LATENCY_STEP}, as 0.2"
+                + milliseconds_hint(latency)
             )
 
 

@@ -37,7 +37,6 @@ LEAST_FLOOR_SCALE = 0.3  # log scale of floors; a smaller one may be an error of
 HELD_OUT, BLOCKS, GAP = 0.25, 20, 1  # share, blocks of time, frames left out beside one
 CLEARLY_BELOW = 0.2  # of the camera's height above a level surface
 MOST_BELOW = 0.05  # share of the pixels that may lie clearly below the floor
-MIN_HEIGHT, MAX_HEIGHT = 0.05, 5.0  # of a camera [m]
 SHOWN = 3  # frames of the picture
 TITLES = ("image", "before", "after")
 

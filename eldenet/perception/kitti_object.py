@@ -14,7 +14,7 @@ import numpy as np
 
 from eldenet.boxes import ArrayRows, Boxes3D, Detections2D
 from eldenet.data.io import read_image
-from eldenet.data.kitti_calibration import entry, read_scan
+from eldenet.data.kitti_calibration import entry, projection_camera, read_scan
 from eldenet.data.paths import find_root
 from eldenet.geometry import PinholeCamera, nearest_points
 from eldenet.system.files import read_text, write_text
@@ -185,9 +185,9 @@ class KittiObjects:
         """The left color camera in the frame of rectified camera 0, which is the labels' frame.
 
         Raises:
-            ValueError: the calibration lacks P2.
+            ValueError: the calibration lacks P2, or it is the projection of no camera.
         """
-        return PinholeCamera.from_projection(entry(self._files(name)[1], "P2", (3, 4)))
+        return projection_camera(self._files(name)[1], "P2")
 
     def labels(self, name: str) -> KittiLabels:
         """Labels of a frame, including DontCare areas."""

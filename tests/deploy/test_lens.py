@@ -204,3 +204,33 @@ def test_predict_says_that_distances_may_be_off_without_a_focal_length(
     )
     line = "camera: unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
     assert line in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"focal": 2}, "focal=2 is a horizontal field of view of 173 degrees"),
+        ({"focal": 1e300}, "focal=1e[+]300 is"),
+        ({"focal": True}, "focal=True: give fx"),
+        ({"fov": 1.15}, "radians are 65.89 degrees"),
+        ({"intrinsics": [0.8, 1.1, 0.5, 0.5]}, "divided by the picture's size"),
+    ],
+)
+def test_a_lens_in_another_unit_predicts_nothing(given, said, lens_model: DepthNet) -> None:
+    with pytest.raises(ValueError, match=said):
+        DepthPredictor(lens_model)(photo(48, 64), **given)
+
+
+def test_no_lens_makes_depth_that_is_not_finite(
+    lens_model: DepthNet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ELDENET_ANY_LENS", "1")
+    assert np.isfinite(DepthPredictor(lens_model)(photo(48, 64), fov=0.02)).all()
+    with pytest.raises(ValueError, match="focal=1e"):
+        DepthPredictor(lens_model)(photo(48, 64), focal=1e300)
+
+
+def test_an_exif_that_is_no_lens_is_named_and_not_used(tmp_path: Path, caplog) -> None:
+    path = photo_with_exif(tmp_path / "a.jpg", (48, 64), 65535)
+    assert exif_focal(path, (48, 64)) is None
+    assert "a.jpg: the EXIF's 65535 mm" in caplog.text

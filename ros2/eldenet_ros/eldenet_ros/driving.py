@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eldenet.geometry import check_camera_height
 from eldenet.navigation.latency import check_latency
 from eldenet.navigation.on_robot import OnRobot
+from eldenet.navigation.ranges import LOWEST_CAMERA
 
 GOAL_RADIUS = 0.5  # as in training [m]
 POSES = 1000  # that are kept: 0.5 s of a fast odometry, and more
@@ -52,6 +54,7 @@ class Pilot:
         for name, value in (("camera_height", camera_height), ("max_speed", max_speed), ("stale", stale)):
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name}={value}: give a number above 0")
+        check_camera_height(camera_height, LOWEST_CAMERA)
         check_latency(latency)
         self.driver, self.camera_height = driver, camera_height
         self.max_speed, self.latency, self.stale = max_speed, latency, stale

@@ -1,4 +1,4 @@
-"""Arrays to ROS messages and back. Needs NumPy alone: ROS, or a library such as rosbags, gives the classes.
+"""Arrays to ROS messages and back. Needs no ROS: ROS, or a library such as rosbags, gives the classes.
 
 Convention: REP 103 (an optical frame has x right, y down, z forward, and so have depth, points and boxes
 here; a frame without "optical" has x forward, y left, z up), REP 117 (inf: nothing in range) and REP 118
@@ -10,6 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
+from eldenet.geometry import check_intrinsics
 
 Z_90 = 1.64  # standard deviations that hold 90 % on each side (Gaussian 1.64, Laplacian 1.63)
 COLORS = {  # encoding -> channels, and which of them are red, green and blue
@@ -74,7 +76,7 @@ def read_intrinsics(info: Any, size: tuple[int, int], *, rectified: bool = False
     """Intrinsics ``(3, 3)`` [px] of pictures of ``(height, width)``: K, or P of rectified pictures.
 
     Raises:
-        ValueError: the camera is not calibrated, or its calibration is for another size.
+        ValueError: the camera is not calibrated, its calibration is for another size, or is that of no lens.
     """
     matrix = np.array(info.k, np.float64).reshape(3, 3)
     if rectified:
@@ -89,6 +91,10 @@ def read_intrinsics(info: Any, size: tuple[int, int], *, rectified: bool = False
             f"camera_info is for {info.height} x {info.width}, the picture has {size[0]} x {size[1]}: "
             "publish the calibration of this size"
         )
+    try:
+        check_intrinsics(matrix, size)
+    except ValueError as error:
+        raise ValueError(f"camera_info: {error}") from error
     return matrix
 
 
