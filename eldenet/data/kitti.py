@@ -21,7 +21,6 @@ from eldenet.data.kitti_files import (
     KITTIFrames,
     Place,
     depth_maps,
-    drive_of,
     frame_list,
     pictures_of,
     scans,
@@ -239,4 +238,4 @@ def _split(places: Sequence[Place], split: str, exclude_list: str | Path | None)
     if exclude_list is not None:
         tested = {place.drive for place in frame_list(exclude_list)}
         places = [place for place in places if place.drive not in tested]
-    return [places[i] for i in hold_out([place.name for place in places], split, drive_of)]
+    return [places[i] for i in hold_out([place.name for place in places], split)]

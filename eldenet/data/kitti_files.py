@@ -62,11 +62,6 @@ def is_drive(name: str) -> bool:
     return _DRIVE.fullmatch(name) is not None
 
 
-def drive_of(name: str) -> str:
-    """Return the drive of a frame's name; both sides of a split must not share one."""
-    return name.partition("/")[0]
-
-
 def listed(folder: Path) -> frozenset[str]:
     """Return the names in ``folder``, none if there is no such folder."""
     return frozenset(os.listdir(folder)) if folder.is_dir() else frozenset()

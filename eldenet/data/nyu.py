@@ -5,6 +5,7 @@ is 795 training and 654 test frames of the 1,449 labeled ones. Which ground trut
 ``depths`` or ``rawDepths`` with holes) changes every number, so each class states it in ``ground_truth``.
 """
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
@@ -62,6 +63,19 @@ def labeled_part(number: int) -> str:
         if any(first <= number <= last for first, last in blocks):
             return name
     return "fit"
+
+
+def labeled_scene(name: str) -> str | None:
+    """Return the scene of a labeled frame such as ``labeled_out/0022``, None for another frame.
+
+    The scenes of ``fit`` are not known, so each of its frames is its own.
+    """
+    found = re.fullmatch(r"(?:.*/)?labeled_out/(\d{4})", name)
+    if found is None:
+        return None
+    number = int(found[1])
+    blocks = (first for first, last in (*VAL_FRAMES, *DEV_FRAMES) if first <= number <= last)
+    return f"labeled {next(blocks, number)}"
 
 
 class _NYUPairs(FileDataset):

@@ -6,7 +6,7 @@ same, so a frame-by-frame split would validate on what was trained.
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -22,13 +22,16 @@ def scene_of(name: str) -> str:
     """Return the scene of a frame's name: its folder, without suffixes that do not change the place.
 
     ``kitchen_0001a/rgb_00012``, ``train/kitchen_0001b/00001`` and ``kitchen_0001a_out/12`` all belong to
-    ``kitchen_0001``: NYU's letters number the recordings of one place, DenseDepth adds ``_out``.
+    ``kitchen_0001``: NYU's letters number the recordings of one place, DenseDepth adds ``_out``. KITTI's
+    scenes are its drives, ``2011_09_26_drive_0001_sync``.
     """
+    if drive := re.match(r"\d{4}_\d\d_\d\d_drive_\d+_\w+", name):
+        return drive[0]
     folder = PurePosixPath(name).parent.name.removesuffix("_out")
     return re.sub(r"(?<=\d)[a-z]$", "", folder)
 
 
-def hold_out(names: Sequence[str], split: str, scene: Callable[[str], str] = scene_of) -> list[int]:
+def hold_out(names: Sequence[str], split: str) -> list[int]:
     """Return the indices of the frames of ``split``: "train" and "val" share no scene, others take all.
 
     A scene is for validation if the first 64 bits of its name's SHA-256 are below 5 % of their range. So all
@@ -38,14 +41,13 @@ def hold_out(names: Sequence[str], split: str, scene: Callable[[str], str] = sce
     Args:
         names: of the frames.
         split: "train", "val" or anything else.
-        scene: returns the scene of a frame's name.
 
     Raises:
         ValueError: there is only one scene to split.
     """
     if split not in ("train", "val"):
         return list(range(len(names)))
-    scenes = [scene(name) for name in names]
+    scenes = [scene_of(name) for name in names]
     place = {one: _place(one) for one in scenes}
     if len(place) == 1:
         raise ValueError(

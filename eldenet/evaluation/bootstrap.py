@@ -1,35 +1,57 @@
-"""Bootstrap intervals: how far a figure depends on the images, frames or arenas that were drawn."""
+"""Bootstrap intervals: how far a figure depends on the scenes, frames or arenas that were drawn."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+
+from eldenet.data.nyu import labeled_scene
+from eldenet.data.splits import scene_of
 
 LIMITS = ((1 - 0.95) / 2, (1 + 0.95) / 2)  # quantiles at the ends of the interval
 
 
+def scenes_of(names: Sequence[str]) -> np.ndarray:
+    """The scene of each frame, as numbers ``(N,)``: what an interval draws.
+
+    Frames of one room, place or drive are alike, so an interval that draws single frames is too narrow. Where
+    all frames are of one scene, each counts as its own: nothing else can be drawn.
+    """
+    found = np.unique([labeled_scene(name) or scene_of(name) for name in names], return_inverse=True)[1]
+    return np.arange(len(names)) if len(names) and not found.any() else found
+
+
 def bootstrap_interval(
     statistic: Callable[[np.ndarray], float],
-    count: int,
+    groups: np.ndarray | int,
     *,
     draws: int = 2000,
 ) -> tuple[float, float]:
     """95 % percentile bootstrap interval of a statistic.
 
-    Efron, "Bootstrap methods: another look at the jackknife", 1979. A paired comparison takes the
-    difference within ``statistic``, so that both sides are drawn together.
-    Unlike ``scipy.stats.bootstrap`` it takes single observations and draws without a value.
+    Efron, "Bootstrap methods: another look at the jackknife", 1979; whole groups are drawn (Field and Welsh,
+    "Bootstrapping clustered data", 2007). A paired comparison takes the difference within ``statistic``, so
+    that both sides are drawn together. Unlike ``scipy.stats.bootstrap`` it draws without a value.
 
     Args:
-        statistic: drawn indices ``(count,)`` -> value; NaN where it has none.
-        count: number of observations.
+        statistic: drawn indices of observations -> value; NaN where it has none.
+        groups: the group ``(N,)`` of each observation, such as :func:`scenes_of` gives, or the number of
+            observations that stand alone.
         draws: number of resamples.
 
     Returns:
         Low and high; NaN where no draw had a value.
     """
     rng = np.random.default_rng(0)
-    resamples = (rng.integers(0, count, count) for _ in range(draws if count else 0))
+    if isinstance(groups, int):
+        resamples = (rng.integers(0, groups, groups) for _ in range(draws if groups else 0))
+    else:
+        members = [np.flatnonzero(groups == one) for one in np.unique(groups)]
+        count = len(members)
+        resamples = (
+            np.concatenate([members[one] for one in rng.integers(0, count, count)])
+            for _ in range(draws if count else 0)
+        )
     values = np.array([statistic(drawn) for drawn in resamples])
     values = values[np.isfinite(values)]
     if not len(values):

@@ -143,9 +143,5 @@ def bootstrap(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
     The objects of a frame share its errors. With a single frame, objects are drawn instead, and the interval
     is too narrow. ``values`` may be differences of two methods on the same pairs.
     """
-    names, index = np.unique(groups, return_inverse=True)
-    if len(names) == 1:
-        index = np.arange(len(values))
-    count = int(index.max(initial=-1)) + 1
-    total, size = np.bincount(index, values, count), np.bincount(index, minlength=count)
-    return bootstrap_interval(lambda drawn: float(total[drawn].sum() / size[drawn].sum()), count)
+    alone = len(np.unique(groups)) == 1
+    return bootstrap_interval(lambda drawn: float(values[drawn].mean()), len(values) if alone else groups)

@@ -66,12 +66,8 @@ def compare(metric: str, before: Sequence[float], after: Sequence[float]) -> Cha
     known = np.isfinite(one) & np.isfinite(other)
     block = (np.arange(len(one)) * BLOCKS // len(one))[known]
     one, other = one[known], other[known]
-    counts = np.bincount(block, minlength=BLOCKS)
-    sums = np.bincount(block, weights=other - one, minlength=BLOCKS)[counts > 0]
-    counts = counts[counts > 0]
-    low, high = bootstrap_interval(
-        lambda drawn: float(sums[drawn].sum() / counts[drawn].sum()), len(counts), draws=DRAWS
-    )
+    change = other - one
+    low, high = bootstrap_interval(lambda drawn: float(change[drawn].mean()), block, draws=DRAWS)
     return Change(metric, float(one.mean()), float(other.mean()), low, high, len(one))
 
 

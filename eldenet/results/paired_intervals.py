@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.evaluation.bootstrap import LIMITS, bootstrap_interval
+from eldenet.evaluation.bootstrap import LIMITS, bootstrap_interval, scenes_of
 from eldenet.evaluation.metric_names import in_range
 from eldenet.results.packed_runs import IMAGES
 
 DRAWS = 10_000
 AT_ONCE = 1000  # draws at a time, which bounds the memory
-IMAGES_ALONE = "images alone"  # an interval that does not include the chance in a training
+SCENES_ALONE = "scenes alone"  # an interval that does not include the chance in a training
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of a row's metric to the reference row's: mean over the images, 95 % interval.
+    """Difference of a row's metric to the reference row's: mean over the images, 95 % interval over scenes.
 
     Attributes:
         mean: ours minus theirs.
@@ -51,7 +51,7 @@ class Difference:
 
     @property
     def verdict(self) -> str:
-        """The word "better" or "worse"; empty if the interval contains 0, is NaN or of the images alone."""
+        """The word "better" or "worse"; empty if the interval contains 0, is NaN or of the scenes alone."""
         if not self.seeds or not (self.low > 0 or self.high < 0):
             return ""
         return "better" if (self.mean < 0) == self.lower_is_better else "worse"
@@ -59,7 +59,7 @@ class Difference:
     @property
     def text(self) -> str:
         """``+0.014 [-0.017, +0.046]`` with the verdict."""
-        verdict = self.verdict if self.seeds else f"({IMAGES_ALONE})"
+        verdict = self.verdict if self.seeds else f"({SCENES_ALONE})"
         return f"{self.mean:+.3f} [{self.low:+.3f}, {self.high:+.3f}] {verdict}".rstrip()
 
 
@@ -89,7 +89,8 @@ def per_image(runs: Mapping[str, Mapping[str, Any]], metric: str) -> Scores:
 def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[float, float, float]:
     """Mean difference ``ours - theirs`` and its 95 % interval: paired percentile bootstrap.
 
-    Images are drawn for both rows together, so that a hard image affects both alike.
+    Scenes are drawn for both rows together, so that a hard scene affects both alike; all frames of a drawn
+    scene count.
 
     Args:
         ours: scores of one row.
@@ -105,30 +106,32 @@ def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[
     known = np.isfinite(ours.values).all(axis=0) & np.isfinite(theirs.values).all(axis=0)
     mine, other = ours.values[:, known], theirs.values[:, known]
     difference = mine.mean(axis=0) - other.mean(axis=0)
+    scenes = scenes_of(ours.images)[known]
     if draw_seeds and len(difference):
-        low, high = two_level_interval(mine, other)
+        low, high = two_level_interval(mine, other, scenes)
     else:
-        low, high = bootstrap_interval(
-            lambda chosen: float(difference[chosen].mean()), len(difference), draws=DRAWS
-        )
+        low, high = bootstrap_interval(lambda chosen: float(difference[chosen].mean()), scenes, draws=DRAWS)
     return float(difference.mean()), low, high
 
 
-def two_level_interval(mine: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Interval of the mean difference over drawn runs and drawn images.
+def two_level_interval(mine: np.ndarray, other: np.ndarray, scenes: np.ndarray) -> tuple[float, float]:
+    """Interval of the mean difference over drawn runs and drawn scenes.
 
-    A draw takes as many runs of each row as it has, and as many images as there are, with replacement; all
-    runs share the images. Draws are counts of runs and images, so that a mean is a product:
+    A draw takes as many runs of each row as it has, and as many scenes as there are, with replacement; all
+    runs share the scenes. Draws are counts of runs and scenes, so that a mean is a product:
     (runs drawn) x scores x (images drawn).
 
     Args:
         mine: ``(runs, images)`` of one row.
         other: ``(runs, images)`` of the other.
+        scenes: ``(images,)``, of each image.
     """
+    scene, sizes = np.unique(scenes, return_inverse=True, return_counts=True)[1:]
     rng = np.random.default_rng(0)
     means = []
     for _ in range(DRAWS // AT_ONCE):
-        images = _shares(rng, mine.shape[1])
+        images = _shares(rng, len(sizes))[:, scene]
+        images /= images.sum(axis=1, keepdims=True)
         one, two = (_shares(rng, len(values)) * (images @ values.T) for values in (mine, other))
         means.append(one.sum(axis=1) - two.sum(axis=1))
     low, high = np.quantile(np.concatenate(means), LIMITS).round(

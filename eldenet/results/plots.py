@@ -153,6 +153,6 @@ def differences_plot(
         axis.set_ylim(-0.7, len(best_last) - 0.3)
         axis.grid(alpha=0.3, axis="x")
         axis.set_title(block, fontsize=9)
-        axis.set_xlabel(f"{metric} less that of {references[block]}; dotted: images alone", fontsize=8)
+        axis.set_xlabel(f"{metric} less that of {references[block]}; dotted: scenes alone", fontsize=8)
     figure.tight_layout()
     save_figure(figure, path)

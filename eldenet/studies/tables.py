@@ -237,10 +237,10 @@ def _notes(study: Study, members: Sequence[Member], latencies: Latencies | None,
     if reference:
         notes.append(
             f"difference in {study.compare} to {reference}: mean over the images, with the 95 % interval "
-            f"of a paired bootstrap ({paired_intervals.DRAWS} draws). Where both rows have "
-            f"{SEEDS_OF_A_VERDICT} seeds, it draws seeds and images, and "
+            f"of a paired bootstrap over scenes ({paired_intervals.DRAWS} draws). Where both rows have "
+            f"{SEEDS_OF_A_VERDICT} seeds, it draws seeds and scenes, and "
             '"better" or "worse" means that the interval excludes 0; '
-            f"elsewhere it draws {paired_intervals.IMAGES_ALONE}, too little for a verdict"
+            f"elsewhere it draws {paired_intervals.SCENES_ALONE}, too little for a verdict"
         )
     if study.epoch == "last":
         notes.append("metrics of the last epoch, since the best epoch was chosen on the same frames")

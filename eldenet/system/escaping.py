@@ -30,7 +30,7 @@ _LATEX = str.maketrans(
 _FORMULA = tuple("=+-@＝＋－＠")
 _NUMBER = r"[+-]?(?:\d+\.?\d*(?:e[+-]?\d+)?|nan|inf)"
 # what starts like a formula and is none: "-", a number, a difference with its interval
-_FIGURE = re.compile(rf"-|{_NUMBER}(?: \[{_NUMBER}, {_NUMBER}\](?: better| worse| \(images alone\))?)?")
+_FIGURE = re.compile(rf"-|{_NUMBER}(?: \[{_NUMBER}, {_NUMBER}\](?: better| worse| \(scenes alone\))?)?")
 
 
 def one_line(text: str) -> str:

@@ -68,7 +68,7 @@ def test_no_mixture_of_signs_becomes_markup():
 
 
 def test_no_cell_is_a_formula_and_figures_stay_figures(tmp_path):
-    figures = ["-", "-0.5", "+1e-3", "-0.014 [-0.017, +0.046] (images alone)", "+0.2 [+0.1, +nan] better"]
+    figures = ["-", "-0.5", "+1e-3", "-0.014 [-0.017, +0.046] (scenes alone)", "+0.2 [+0.1, +nan] better"]
     write_rows(tmp_path / "table.csv", HOSTILE[:-1], [figures, [-1.5, None]])
     with (tmp_path / "table.csv").open(newline="") as lines:
         header, kept, numbers = list(csv.reader(lines))

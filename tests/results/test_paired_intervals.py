@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from eldenet.evaluation.bootstrap import scenes_of
 from eldenet.results import paired_intervals
 from eldenet.results.plots import name_points, pareto_front
 
@@ -53,6 +54,42 @@ def test_the_interval_over_seeds_and_images_is_that_of_plain_draws():
         scores(ours), scores(theirs), draw_seeds=False
     )
     assert low < low_of_images < mean < high_of_images < high
+
+
+def test_frames_of_a_scene_are_drawn_together():
+    """Compared with a loop that draws scenes, and wider than drawn frames where a scene's frames agree."""
+    generator = np.random.default_rng(7)
+    scene = np.repeat(np.arange(12), generator.integers(2, 9, 12))
+    names = tuple(f"scene_{number:04d}/{index:05d}" for index, number in enumerate(scene))
+    theirs = np.full((3, len(scene)), 0.5) + generator.normal(0, 0.01, (3, len(scene)))
+    ours = theirs + 0.03 + generator.normal(0, 0.05, 12)[scene]
+    for draw_seeds in (False, True):
+        draws = []
+        for _ in range(20_000):
+            images = np.concatenate([np.flatnonzero(scene == one) for one in generator.choice(12, 12)])
+            one, two = (generator.choice(3, 3) if draw_seeds else np.arange(3) for _ in range(2))
+            draws.append(ours[one][:, images].mean() - theirs[two][:, images].mean())
+        _, low, high = paired_intervals.paired_interval(
+            scores(ours, images=names), scores(theirs, images=names), draw_seeds=draw_seeds
+        )
+        assert (low, high) == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=1.5e-3)
+        _, *alone = paired_intervals.paired_interval(scores(ours), scores(theirs), draw_seeds=draw_seeds)
+        assert high - low > 1.5 * (alone[1] - alone[0])
+
+
+@pytest.mark.parametrize(
+    ("names", "groups"),
+    [
+        (["labeled_out/0022", "labeled_out/0027", "labeled_out/0080", "labeled_out/0001"], [1, 1, 2, 0]),
+        (["rooms/test/000000/0", "rooms/test/000000/1", "rooms/test/000001/0"], [0, 0, 1]),
+        (["2011_09_26_drive_0002_sync/image_02/01", "2011_09_26_drive_0009_sync/image_02/01"], [0, 1]),
+        (["kitchen_0001a/1", "kitchen_0001b/1", "office_0001/1"], [0, 0, 1]),
+        (["1", "2", "3"], [0, 1, 2]),
+        ([], []),
+    ],
+)
+def test_a_frame_is_of_the_scene_that_its_name_says(names, groups):
+    assert scenes_of(names).tolist() == groups
 
 
 def test_an_image_without_a_score_in_one_row_is_left_out_of_both():

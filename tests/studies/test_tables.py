@@ -34,7 +34,7 @@ def test_verdicts_need_three_seeds_of_both(study: Study, offset: float, verdict:
     records = read_records(study.folder / RUNS)
     write_records(study.folder / RUNS, {name: records[name] for name in records if name != "small/seed2"})
     rows = table(study)
-    assert rows["large"][DIFFERENCE].endswith("] (images alone)")
+    assert rows["large"][DIFFERENCE].endswith("] (scenes alone)")
     assert (rows["small"]["seeds"], rows["large"]["seeds"]) == ("2 of 3", "3")
 
 
