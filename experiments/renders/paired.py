@@ -1,4 +1,4 @@
-"""Differences between two trainings, frame by frame, with 95 % bootstrap intervals.
+"""Differences between two trainings, frame by frame, with 95 % bootstrap intervals over scenes.
 
 ``python experiments/renders/paired.py val detail today`` reads the frames of ``val`` that ``score.py``
 stored.
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.evaluation.bootstrap import bootstrap_interval
+from eldenet.evaluation.bootstrap import bootstrap_interval, scenes_of
 from eldenet.system.files import read_table
 
 METRICS = ("delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
@@ -27,7 +27,9 @@ def main(split: str, ours: str, theirs: str) -> None:
     first, second = read(split, ours), read(split, theirs)
     difference = np.array([np.subtract(first[name], second[name]) for name in first])
     for metric, values in zip(METRICS, difference.T, strict=True):
-        low, high = bootstrap_interval(lambda drawn, values=values: float(values[drawn].mean()), len(values))
+        low, high = bootstrap_interval(
+            lambda drawn, values=values: float(values[drawn].mean()), scenes_of(list(first))
+        )
         print(f"{metric}: {values.mean():+.3f} [{low:+.3f}, {high:+.3f}] of {len(values)} frames")
 
 
