@@ -360,6 +360,18 @@ def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     return np.stack([x, y, depth], axis=-1)
 
 
+def level_rotation(pitch: float, roll: float = 0.0) -> np.ndarray:
+    """Level from camera ``(3, 3)``.
+
+    Args:
+        pitch: of the optical axis below the horizon [rad].
+        roll: of the camera about that axis, clockwise as it looks [rad].
+    """
+    (c, s), (a, b) = ((np.cos(angle), np.sin(angle)) for angle in (pitch, roll))
+    down = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+    return down @ np.array([[a, -b, 0.0], [b, a, 0.0], [0.0, 0.0, 1.0]])
+
+
 @dataclass(frozen=True)
 class PinholeCamera:
     """A camera in a level frame: ``X = h H [j, i, 1]^T + t`` with ``H = R K^-1``.

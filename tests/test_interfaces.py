@@ -13,7 +13,7 @@ from eldenet.visualization import write_picture
 
 PACKAGE = Path(__file__).parents[1] / "eldenet"
 MOST_ARGUMENTS = 8
-MORE_ARGUMENTS = {"step": 9}  # of a driver on a robot: all that its loop knows, by name
+MORE_ARGUMENTS = {"step": 13}  # of a driver on a robot: all that its loop knows, by name
 
 #: A script that runs a command and prints each function below ``compose.py`` that received a config.
 WATCHED = """

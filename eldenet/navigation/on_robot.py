@@ -9,17 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.geometry import check_meters, intrinsic_matrix
+from eldenet.geometry import PinholeCamera, check_meters, intrinsic_matrix, level_rotation
 from eldenet.navigation.latency import MAX_LATENCY, ahead, check_latency
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
 from eldenet.navigation.ranges import CAUTION, depth_to_ranges
+from eldenet.navigation.watch import Look, Watch, absurd
 from eldenet.simulation.robot import ROBOT
 from eldenet.uncertainty import DepthEstimate
 
 MOST_UNSURE = 0.85  # of a depth map: a robot that sees less stands still
 TURN = 2 * math.pi + 1e-6  # [rad], but for rounding
+SENT = round(MAX_LATENCY / ROBOT.period) + 1  # commands that are kept
 POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
 
 
@@ -31,12 +33,16 @@ class OnRobot:
         range_filter: that :meth:`step` passes its ranges through; None: none.
         range_scale: that :meth:`step` then corrects them with, for a camera that measures all ranges too long
             or too short; None (default): nothing.
+        watch: that stops it when something is wrong, see :mod:`eldenet.navigation.watch`; None: none.
         stop_reason: why the last :meth:`step` stopped the robot; None: it drives.
     """
 
     observer: Observer
+    #: Way that it may drive without coming nearer to its goal [m].
+    patience = 30.0
 
     def __init__(self) -> None:
+        self.watch: Watch | None = Watch(self.patience)
         self.range_filter: RangeFilter | None = RangeFilter()
         self.range_scale: RangeScale | None = None
         self.stop_reason: str | None = None
@@ -47,12 +53,17 @@ class OnRobot:
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
         raise NotImplementedError
 
+    @property
+    def no_way(self) -> bool:
+        """Whether the driver's map has closed every way to the goal; one that plans none does not know."""
+        return False
+
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget what a robot saw; call this at every new start."""
         self.stop_reason = None
         self._origin = None
         self._sent = []
-        for part in (self.range_filter, self.range_scale):
+        for part in (self.range_filter, self.range_scale, self.watch):
             if part is not None:
                 part.reset()
 
@@ -64,7 +75,11 @@ class OnRobot:
         *,
         sigma: np.ndarray | None = None,
         intrinsics: np.ndarray | Sequence[Any] | None = None,
+        image: np.ndarray | None = None,
         camera_height: float = ROBOT.camera_height,
+        camera_pitch: float = 0.0,
+        camera_roll: float = 0.0,
+        stamp: float | None = None,
         scanned_from: Sequence[float] | None = None,
         latency: float = 0.0,
         max_speed: float = ROBOT.max_speed,
@@ -73,12 +88,12 @@ class OnRobot:
 
         A depth map that comes twice counts as two scans that agree.
 
-        Without finite input, or where a network is unsure of nearly the whole view, as behind a covered lens,
-        it stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it drives on as soon as
-        that is over.
+        At the goal, with input that is not finite or cannot be true, or where :attr:`watch` finds a fault, it
+        stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it drives on as soon as that
+        is over.
 
         Args:
-            depth: depth map ``(H, W)`` [m] of a level camera, with ``intrinsics``; or ranges ``(columns,)``
+            depth: depth map ``(H, W)`` [m], with ``intrinsics``; or ranges ``(columns,)``
                 [m], equal in angle over the field of view, right to left; or those of five sectors ``(5,)``.
             goal: distance [m] and bearing [rad, counter-clockwise from ahead].
             odometry: x, y [m] and heading [rad] in any fixed frame.
@@ -86,51 +101,67 @@ class OnRobot:
                 drives as slowly as the low end of the depth's interval asks for, and forgets remembered
                 obstacles only up to there. None: the depth is as it says, as a depth camera's.
             intrinsics: ``(3, 3)`` or ``(fx, fy, cx, cy)`` of the depth map [px].
+            image: frame ``(H, W, 3)`` uint8 RGB that the depth was predicted from, which shows a covered or
+                frozen lens.
             camera_height: of its optical center above the floor [m].
+            camera_pitch: of its optical axis below the horizon [rad].
+            camera_roll: about that axis, clockwise as it looks [rad].
+            stamp: time of ``depth`` by ``time.monotonic`` (:attr:`watch` has the clock) [s]; None: not known.
             scanned_from: the odometry at the time of ``depth``, if that is older; None: ``odometry``.
             latency: from the time of ``odometry`` until the robot executes the command [s]. The driver
                 decides for the pose that its last commands lead to until then.
             max_speed: a faster command is slowed down on the same arc [m/s].
 
         Returns:
-            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) if a pose, goal or intrinsics
-            are not finite, no value of ``depth`` is known, or the view is unsure. Single unknown values (0,
-            nan) read as near, and inf as free.
+            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) where it stops. Single unknown
+            values (0, nan) of ``depth`` read as near, and inf as free.
 
         Raises:
-            ValueError: ``depth`` has another shape or is in millimeters, ``sigma`` is not of its shape, a
-                pose, goal or intrinsics have another length, the goal's bearing is in degrees, a depth map
-                has no intrinsics or those of no lens, its camera sees less than 25 degrees to each side, or
-                ``camera_height``, ``latency`` or ``max_speed`` is out of range.
+            ValueError: an argument is no number or has no numbers, ``depth`` has another shape or is in
+                millimeters, ``sigma`` is not of its shape, a pose, goal or intrinsics have another length, a
+                goal's bearing is in degrees, a depth map has no intrinsics or those of no lens, its camera
+                sees less than 25 degrees to each side, or ``camera_height``, ``latency``, ``max_speed`` or a
+                tilt is out of range.
         """
+        for name, value in (
+            ("camera_height", camera_height), ("camera_pitch", camera_pitch), ("camera_roll", camera_roll),
+            ("stamp", 0.0 if stamp is None else stamp), ("latency", latency), ("max_speed", max_speed),
+        ):  # fmt: skip
+            if not isinstance(value, int | float | np.integer | np.floating):
+                raise ValueError(f"{name}={value!r:.60}: give a number")
         check_latency(latency)
         if not 0 < max_speed < math.inf:
             raise ValueError(f"max_speed={max_speed}: give a finite speed above 0 [m/s]")
-        depth = np.asarray(depth)  # its own type, which as_ranges checks
-        sigma = None if sigma is None else np.asarray(sigma, np.float64)
+        depth = _numbers("depth", depth)  # its own type, which as_ranges checks
+        sigma = None if sigma is None else _numbers("sigma", sigma).astype(np.float64)
+        if image is not None and (image := _numbers("image", image)).dtype != np.uint8:
+            raise ValueError(f"image has type {image.dtype}: give the camera's frame (H, W, 3) uint8 RGB")
         now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
         check_bearing(goal_row[0, 1], now[0, 2])
         then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
-        intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
-        if intrinsics is not None and not np.isfinite(intrinsics).all():
-            self.stop_reason = "intrinsics not finite"
-        elif depth.size and not ((depth > 0) | np.isneginf(depth)).any():
-            self.stop_reason = "no value of depth is known"
-        elif sigma is not None and (unsure := unsure_share(depth, sigma)) > MOST_UNSURE:
-            self.stop_reason = f"{unsure:.0%} of the view is unsure: a covered lens, darkness or a bare wall"
-        else:
-            ranges = low = as_ranges(depth, intrinsics, camera_height)
-            if sigma is not None:
-                low = as_ranges(depth, intrinsics, camera_height, low=nearest_depth(depth, sigma))
-            unseen = np.isnan(ranges)
-            ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, low)
-            self.stop_reason = Senses(ranges[None], now, goal_row, scanned_from=then).not_finite
-        self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][
-            -round(MAX_LATENCY / ROBOT.period) :
-        ]
-        if self.stop_reason:
-            self.observer.last[:] = 0.0  # it stands
-            return 0.0, 0.0
+        matrix = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
+        self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][-SENT:]
+        reason = unfit(depth, matrix, now, goal_row, then)
+        if reason is None and sigma is not None and (unsure := unsure_share(depth, sigma)) > MOST_UNSURE:
+            reason = f"{unsure:.0%} of the view is unsure: a covered lens, darkness or a bare wall"
+        if reason is None and self.watch is not None:
+            reason = self.watch.arrived(goal_row[0, 0]) or self.watch.stale(stamp, latency)
+        if reason is not None:
+            return self._stand(reason)
+        tilt = (camera_pitch, camera_roll)
+        ranges = low = as_ranges(depth, matrix, camera_height, tilt=tilt)
+        if sigma is not None:
+            low = as_ranges(depth, matrix, camera_height, tilt=tilt, low=nearest_depth(depth, sigma))
+        unseen = np.isnan(ranges)
+        ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, low)
+        if self.watch is not None:
+            camera = None
+            if depth.ndim == 2 and matrix is not None:
+                camera = PinholeCamera(matrix, level_rotation(*tilt))
+            look = Look(depth, ranges, now[0], image, camera, camera_height, latency)
+            if (reason := self.watch.judge(look, self._sent)) is not None:
+                return self._stand(reason)
+        pose, place = now[0], goal_row[0]
         # the memory has float32, which does not suffice for positions such as UTM's
         self._origin = now * (1, 1, 0) if self._origin is None else self._origin
         now, then = now - self._origin, None if then is None else then - self._origin
@@ -140,14 +171,48 @@ class OnRobot:
                 cautious = ranges if near is None else near
         if latency:
             then = now if then is None else then
-            pose, place = ahead(now[0], goal_row[0], self._sent, latency)
-            now, goal_row = pose[None], place[None]
+            now, goal_row = (row[None] for row in ahead(now[0], goal_row[0], self._sent, latency))
         command = self.commands(Senses(ranges[None], now, goal_row, cautious[None], then))[0]
         if abs(command[0]) > max_speed:
             command = command * (max_speed / abs(command[0]))
             self.observer.last[0] = command
+        if self.watch is not None and (reason := self.watch.lost(pose, place, self.no_way)) is not None:
+            return self._stand(reason)
+        self.stop_reason = None
         speed, turn = command.tolist()
         return speed, turn
+
+    def _stand(self, reason: str) -> tuple[float, float]:
+        self.stop_reason = reason
+        self.observer.last[:] = 0.0
+        return 0.0, 0.0
+
+
+def unfit(
+    depth: np.ndarray,
+    intrinsics: np.ndarray | None,
+    odometry: np.ndarray,
+    goal: np.ndarray,
+    scanned_from: np.ndarray | None,
+) -> str | None:
+    """Why nothing can be decided by these, each as :meth:`OnRobot.step` has it in rows; None: it can."""
+    if intrinsics is not None and not np.isfinite(intrinsics).all():
+        return "intrinsics not finite"
+    if depth.size and not ((depth > 0) | np.isneginf(depth)).any():
+        return "no value of depth is known"
+    seen = Senses(np.zeros((1, 1)), odometry, goal, scanned_from=scanned_from)
+    return seen.not_finite or absurd(depth, goal[0], odometry[0])
+
+
+def _numbers(name: str, values: Any) -> np.ndarray:
+    """Return numbers as an array of their own type."""
+    try:
+        array = np.asarray(values)
+    except ValueError:  # rows of several lengths
+        array = np.array(None)
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{name}={' '.join(repr(values).split())[:60]}: give an array of numbers")
+    return array
 
 
 def check_bearing(bearing: float, heading: float) -> None:
@@ -200,16 +265,18 @@ def as_ranges(
     intrinsics: np.ndarray | Sequence[Any] | None,
     camera_height: float = ROBOT.camera_height,
     *,
+    tilt: tuple[float, float] = (0.0, 0.0),
     low: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors.
 
-    Columns beside the view of a depth map are nan. ``low (H, W)`` [m] is how near its things may be.
+    Columns beside the view of a depth map are nan. ``tilt`` is its camera's pitch and roll [rad],
+    ``low (H, W)`` [m] how near its things may be.
     """
     if depth.ndim == 2:
         if intrinsics is None:
             raise ValueError("a depth map needs intrinsics=(fx, fy, cx, cy) of its camera [px]")
-        return depth_to_ranges(depth, intrinsics, camera_height=camera_height, low=low)
+        return depth_to_ranges(depth, intrinsics, camera_height=camera_height, tilt=tilt, low=low)
     if depth.ndim != 1 or not depth.size or ROBOT.columns % depth.size:
         raise ValueError(
             f"depth has shape {depth.shape}: give depth (H, W), ranges ({ROBOT.columns},) or sectors (5,)"

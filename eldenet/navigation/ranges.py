@@ -6,7 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.geometry import check_camera_height, check_intrinsics, check_meters, intrinsic_matrix
+from eldenet.geometry import (
+    check_camera_height,
+    check_intrinsics,
+    check_meters,
+    intrinsic_matrix,
+    level_rotation,
+)
 from eldenet.simulation.robot import ROBOT, Robot
 
 LOWEST, HIGHEST = 0.15, 0.60  # heights that can touch the robot, with a margin for the floor [m]
@@ -14,6 +20,7 @@ QUANTILE = 0.10  # of a column's pixels: its nearest surface
 OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong (a dead pixel column)
 LEAST_VIEW = 50.0  # of a camera, half of it to each side [degrees]
 LOWEST_CAMERA = 0.01  # [m]
+MOST_TILTED = 0.5  # pitch and roll of a camera; more are degrees given as radians [rad]
 CAUTION = 0.8  # of the interval of depth whose low end is how near things may be
 _BEYOND = 100.0  # stands for infinite [m]
 
@@ -23,6 +30,7 @@ def depth_to_ranges(
     intrinsics: np.ndarray | Sequence[Any],
     *,
     camera_height: float = ROBOT.camera_height,
+    tilt: tuple[float, float] = (0.0, 0.0),
     low: np.ndarray | None = None,
     robot: Robot = ROBOT,
     heights: tuple[float, float] = (LOWEST, HIGHEST),
@@ -41,9 +49,10 @@ def depth_to_ranges(
     Columns beside the camera's view are nan. It must see at least :data:`LEAST_VIEW` degrees.
 
     Args:
-        depth: ``(H, W)`` [m] along a level optical axis.
+        depth: ``(H, W)`` [m] along the optical axis.
         intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the depth map [px].
         camera_height: of the optical center above the floor [m].
+        tilt: pitch below the horizon and clockwise roll of the camera [rad].
         low: ``(H, W)`` [m], for how near things may be: ``depth`` decides which pixels are obstacles, ``low``
             how far they are.
         robot: its field of view, columns, near and far end are those of the ranges.
@@ -51,11 +60,14 @@ def depth_to_ranges(
 
     Raises:
         ValueError: ``depth`` is in millimeters, the camera's field of view is too small, its pixels are too
-            few for the columns, or its intrinsics or height are impossible.
+            few for the columns, or its intrinsics, height or tilt are impossible.
     """
     check_meters(depth)
     height, width = depth.shape
     check_camera_height(camera_height, LOWEST_CAMERA)  # centimeters would hide a wall
+    for name, angle in zip(("pitch", "roll"), tilt, strict=True):
+        if not abs(angle) <= MOST_TILTED:
+            raise ValueError(f"camera_{name}={angle}: give radians from -{MOST_TILTED} to {MOST_TILTED}")
     intrinsics = intrinsic_matrix(intrinsics)
     check_intrinsics(intrinsics, (height, width))
     column = columns_of(width, intrinsics, robot)
@@ -64,6 +76,11 @@ def depth_to_ranges(
     close = np.isneginf(depth)
     known = (depth > 0) | close  # nan is not
     depth = np.where(np.isposinf(depth), _BEYOND, np.where(close, 0.0, depth))
+    if any(tilt):  # go on with the level camera at the same place
+        x, y, z = (a * right + b * down + c for a, b, c in level_rotation(*tilt))
+        right, down, depth, low = x / z, y / z, depth * z, None if low is None else low * z
+        bearing = robot.field_of_view / 2 - np.arctan(right)
+        column = np.floor(bearing * robot.columns / robot.field_of_view).astype(int)
     if not known.all():
         depth = _standing_on_the_floor(depth, known, down, camera_height, heights[0])
     above_floor = camera_height - down * depth
@@ -71,16 +88,16 @@ def depth_to_ranges(
     counts = (depth == 0) | ((above_floor > heights[0]) & (above_floor < heights[1]))
     away = depth if low is None else np.minimum(low, depth)
     ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
-    rows = _rows_at(down[:, 0], camera_height, robot, heights)
+    rows = _rows_at(down[:, width // 2] if any(tilt) else down[:, 0], camera_height, robot, heights)
     out = np.full(robot.columns, robot.far)
     for number in range(robot.columns):
-        pixels = ranges[:, column == number]
-        if not pixels.shape[1]:
+        pixels = ranges[column == number] if any(tilt) else ranges[:, column == number]
+        if not pixels.size:
             out[number] = np.nan
             continue
         values = np.sort(pixels[np.isfinite(pixels)])
         first = int(QUANTILE * values.size)
-        needed = OUTLIERS * pixels.shape[1] * np.interp(values[first:], *rows)
+        needed = OUTLIERS * (pixels.size / height) * np.interp(values[first:], *rows)
         enough = np.flatnonzero(np.arange(first, values.size) + 1 > needed)
         if enough.size:
             out[number] = values[first + enough[0]]
@@ -105,7 +122,7 @@ def _standing_on_the_floor(
 ) -> np.ndarray:
     """Depth ``(H, W)`` with unknown pixels at the distance of the last visible floor in their column."""
     with np.errstate(divide="ignore"):
-        floor = np.where(down > 0, camera_height / down, _BEYOND)[:, 0]
+        floor = np.where(down > 0, camera_height / down, _BEYOND)
     filled, at = depth.copy(), np.full(depth.shape[1], np.nan)
     below = np.full(depth.shape[1], False)  # a pixel below is known
     for row in range(len(depth) - 1, -1, -1):

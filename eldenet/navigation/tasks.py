@@ -32,7 +32,7 @@ class TrainingArenas:
         repeats: episodes per arena.
         min_distance: between start and goal [m].
         split: seed stream.
-        kind: "open", "rooms" or "traps"; see :func:`~eldenet.simulation.arenas.generate_arena`.
+        kind: of :data:`~eldenet.simulation.arenas.KINDS`; mazes and corridors need densities of 0.
         curriculum: share of the training during which the greatest number of obstacles grows from a quarter
             of its range to the whole; 0: it is the whole from the start.
 
@@ -90,7 +90,7 @@ class TrainingArenas:
             self._clearance = clearance_map(self._arena.obstacles)
             return self._arena
         self._left -= 1
-        if self.kind == "traps":  # the trap stands between its own start and goal
+        if self.kind in ("traps", "maze", "corridor"):  # with their own start and goal
             return self._arena
         draw = Draw((TASK_STREAM, int(rng.integers(2**31))))
         ends = draw_start_and_goal(draw, self._clearance, self.min_distance, self._arena.pedestrians)

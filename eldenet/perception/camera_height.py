@@ -16,7 +16,13 @@ from eldenet.data.splits import evenly_spaced
 from eldenet.deploy.prediction import Source
 from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
-from eldenet.geometry import PinholeCamera, check_intrinsics, intrinsic_matrix, resize_image
+from eldenet.geometry import (
+    PinholeCamera,
+    check_intrinsics,
+    intrinsic_matrix,
+    level_rotation,
+    resize_image,
+)
 from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
 from eldenet.results.before_after import check_scale, compare, panel_size, record_change, say_changes
 from eldenet.results.run_log import RunLog
@@ -136,11 +142,7 @@ def frames_of(source: Source, most: int) -> tuple[Iterator[tuple[str, np.ndarray
 
 def level_camera(intrinsics: Sequence[float] | np.ndarray, pitch: float | None) -> PinholeCamera:
     """Return the camera of ``(3, 3)``, in a level frame if its ``pitch`` below the horizon [rad] is known."""
-    matrix = intrinsic_matrix(intrinsics)
-    if pitch is None:
-        return PinholeCamera(matrix)
-    c, s = np.cos(pitch), np.sin(pitch)
-    return PinholeCamera(matrix, np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]))
+    return PinholeCamera(intrinsic_matrix(intrinsics), level_rotation(pitch or 0.0))
 
 
 def log_scale(depth: np.ndarray, camera: PinholeCamera, height: float, *, known_pitch: bool) -> float:

@@ -12,7 +12,15 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from eldenet.simulation.arena_walls import OPEN, Walls, draw_rooms, draw_trap
+from eldenet.simulation.arena_walls import (
+    OPEN,
+    Walls,
+    draw_corridor,
+    draw_maze,
+    draw_office,
+    draw_rooms,
+    draw_trap,
+)
 from eldenet.simulation.obstacle import SIDE, Obstacle, Point
 from eldenet.simulation.pedestrians import PEDESTRIAN_CLEARANCE, PERSON_HEIGHTS, PERSON_RADIUS, draw_walk
 from eldenet.simulation.rendering.mjcf import Draw
@@ -23,7 +31,15 @@ from eldenet.system.digests import digest_of
 #: First number of every split's seeds; no other seed of this package starts with these.
 SPLITS = {"train": 100, "val": 101, "test": 102}
 #: Kinds of arenas, each with the number that ends its seeds; open ones have none.
-KINDS = {"open": (), "rooms": (1,), "traps": (2,)}
+KINDS = {"open": (), "rooms": (1,), "traps": (2,), "office": (3,), "maze": (4,), "corridor": (5,)}
+_WALLS = {
+    "open": lambda _: OPEN,
+    "rooms": draw_rooms,
+    "traps": draw_trap,
+    "office": draw_office,
+    "maze": draw_maze,
+    "corridor": draw_corridor,
+}
 RESOLUTION = 0.1  # of the grid on which the goal must be reachable [m]
 INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
 START_CLEARANCE, GOAL_CLEARANCE = 1.0, 0.8  # [m]
@@ -42,7 +58,7 @@ class Arena:
         start: x, y [m] and heading [rad] of the robot.
         waypoints: to be reached in this order, the goal last [m].
         side: of the square around the origin [m].
-        kind: "open"; "rooms" with doors; "traps": a U-shaped wall between start and goal.
+        kind: of :data:`KINDS`, as :func:`generate_arena` describes them.
     """
 
     split: str
@@ -85,9 +101,11 @@ def generate_arena(
         density: number of standing obstacles, 0 to 120.
         index: from 0.
         pedestrians: number of walking people.
-        min_distance: from start to goal, as the crow flies [m]; in traps it is always 10 m or more.
+        min_distance: from start to goal, as the crow flies [m]; in traps it is always 10 m or more, in mazes
+            and corridors what they give.
         kind: "open"; "rooms": nine rooms with doors 1.1 to 1.5 m wide; "traps": a U-shaped wall opens toward
-            the start and hides the goal.
+            the start and hides the goal; "office": rooms along corridors 1.15 to 1.4 m wide; "maze": 7 x 7
+            cells of that width; "corridor": one that winds. The last two have no obstacles.
 
     Raises:
         ValueError: an argument is out of its range.
@@ -103,14 +121,19 @@ def generate_arena(
             raise ValueError(f"{name}={value}: give 0 to {most:g}")
     draw = Draw((SPLITS[split], density, pedestrians, index, *KINDS[kind]))
     while True:
-        walls = {"open": lambda _: OPEN, "rooms": draw_rooms, "traps": draw_trap}[kind](draw)
+        walls = _WALLS[kind](draw)
+        if walls.narrow and (density or pedestrians):
+            raise ValueError(
+                f"density={density}, pedestrians={pedestrians}: arena.kind={kind} has room for none"
+            )
         obstacles = draw_obstacles(draw, density, walls)
         if obstacles is None:
             continue
         obstacles = (*walls.boxes, *obstacles)
         clearance = clearance_map(obstacles)
         endpoints = walls.ends or draw_start_and_goal(draw, clearance, min_distance)
-        if endpoints is None or not (walls.ends is None or connected(clearance, *walls.ends)):
+        room = (INFLATION, INFLATION) if walls.narrow else (START_CLEARANCE, GOAL_CLEARANCE)
+        if endpoints is None or not (walls.ends is None or connected(clearance, *walls.ends, room)):
             continue
         start, goal = endpoints
         walking = [_draw_pedestrian(draw, start) for _ in range(pedestrians)]
@@ -185,13 +208,13 @@ def draw_start_and_goal(
     return None
 
 
-def connected(clearance: np.ndarray, start: Sequence[float], goal: Point) -> bool:
-    """Whether start and goal are clear and the inflated grid ``(n, n)`` [m] connects them."""
+def connected(clearance: np.ndarray, start: Sequence[float], goal: Point, room: tuple[float, float]) -> bool:
+    """Whether start and goal have ``room`` [m] each and the inflated grid ``(n, n)`` [m] connects them."""
     from skimage.measure import label
 
     regions = label(clearance >= INFLATION, connectivity=1)
     cells = [tuple(int((value + SIDE / 2) / RESOLUTION) for value in (at[1], at[0])) for at in (start, goal)]
-    clear = clearance[cells[0]] >= START_CLEARANCE and clearance[cells[1]] >= GOAL_CLEARANCE
+    clear = clearance[cells[0]] >= room[0] and clearance[cells[1]] >= room[1]
     return bool(clear and regions[cells[0]] == regions[cells[1]] > 0)
 
 

@@ -5,10 +5,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from skimage.measure import label
 
 from eldenet.navigation.planners.paths import inflated_cost, shortest_path
 from eldenet.simulation.arena_mjcf import arena_mjcf
-from eldenet.simulation.arena_walls import DOORS, THICKNESS
+from eldenet.simulation.arena_walls import CORRIDORS, DOORS, THICKNESS
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import arenas_hash, clearance_map, generate_arena
 
@@ -69,5 +70,42 @@ def test_a_trap_lies_between_start_and_goal():
 def test_open_arenas_know_no_walls():
     arena = generate_arena("test", 5, 0)
     assert (arena.kind, arena.name) == ("open", "test-5-0")
-    with pytest.raises(ValueError, match=r"arena\.kind='maze': give one of open, rooms, traps"):
-        generate_arena("test", 5, 0, kind="maze")
+    with pytest.raises(ValueError, match=r"arena\.kind='mazes': give one of open, rooms, traps, office"):
+        generate_arena("test", 5, 0, kind="mazes")
+
+
+NARROW = {"office": 10, "maze": 0, "corridor": 0}
+# The first three test arenas of each kind: if one changes, it is another test set.
+FROZEN_NARROW = {
+    "office": "aa693fbbdaaef348f6960b3f43c40add546cf83bfaec5e25f0b1fc0b8aaa4714",
+    "maze": "721525bb68fb119148774105832d3ab32d1953e65889d08e07c17acfca3859f5",
+    "corridor": "13d74f0ca6e9a31db15d3eb8c1c3becd67e52e9b99ac24a52a076deab37229eb",
+}
+
+
+@pytest.mark.parametrize(("kind", "density"), NARROW.items())
+def test_narrow_arenas_are_frozen_and_passable(kind, density):
+    arenas = [generate_arena("test", density, index, kind=kind) for index in range(3)]
+    assert arenas_hash(arenas) == FROZEN_NARROW[kind]
+    for index in range(4):
+        arena = generate_arena("val", density, index, kind=kind)
+        cost = inflated_cost(clearance_map(arena.obstacles))
+        assert shortest_path(cost, arena.start[:2], arena.waypoints[0]) is not None
+        assert not ArenaWorld(arena).advance(0.0, 0.0, 0.1)
+
+
+@pytest.mark.parametrize(("kind", "least"), [("maze", 0.7), ("corridor", 0.85), ("office", 0.1)])
+def test_walls_are_as_close_as_a_corridor_is_wide(kind, least):
+    """Of the cells where a robot fits and that it can reach, most are within half a corridor of a wall."""
+    arena = generate_arena("val", 0, 1, kind=kind)
+    clearance = clearance_map(arena.obstacles)
+    regions = label(clearance >= 0.45, connectivity=1)
+    row, column = (int((value + 10) / 0.1) for value in (arena.start[1], arena.start[0]))
+    inside = clearance[regions == regions[row, column]]
+    assert (inside < CORRIDORS[1] / 2).mean() > least
+
+
+@pytest.mark.parametrize("kind", ["maze", "corridor"])
+def test_mazes_and_corridors_take_no_obstacles(kind):
+    with pytest.raises(ValueError, match=rf"density=5, pedestrians=0: arena\.kind={kind} has room for none"):
+        generate_arena("test", 5, 0, kind=kind)

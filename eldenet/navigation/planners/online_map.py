@@ -10,6 +10,8 @@ from eldenet.simulation.arenas import INFLATION, RESOLUTION
 from eldenet.simulation.obstacle import SIDE
 from eldenet.simulation.robot import ROBOT
 
+SURE = 4  # evidence of a cell that is occupied for sure, of 8
+LEAST_ROOM, NEAR = 0.20, 0.5  # clearance of a way [m]; distance to the robot and to a goal that counts [m]
 TIGHT = 0.30  # inflation if no path exists at the full one [m]
 _MARGIN = 2.0  # around the map: odometry may drift out of the arena [m]
 
@@ -118,6 +120,26 @@ class OnlineMap:
         for least, value in reversed(costs):
             cost[clearance < least - 1e-3] = value
         return shortest_path(cost, tuple(pose[:2]), goal, self.side, corner=(rows.start, columns.start))
+
+    def closes(self, pose: np.ndarray, goal: tuple[float, float]) -> bool:
+        """Whether what was seen for sure leaves no way from ``pose (3,)`` to the goal [m], or near to it.
+
+        It asks for less room than a plan: what closes a plan may be a wrong reading beside the robot.
+        """
+        import cv2
+
+        taken = self.evidence >= SURE
+        rows, columns = self._window(taken, tuple(pose[:2]), goal)
+        free = 1 - taken[rows, columns].astype(np.uint8)
+        clearance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * RESOLUTION
+        _, regions = cv2.connectedComponents((clearance >= LEAST_ROOM).astype(np.uint8))
+        ends = []
+        for at in (pose[:2], np.array(goal)):
+            row, column = (int(cell[0]) for cell in self.cells(at[None]))
+            y, x = np.ogrid[rows, columns]
+            near = np.hypot(y - row, x - column) * RESOLUTION < NEAR
+            ends.append(set(regions[near].tolist()) - {0})
+        return not ends[0] & ends[1]
 
     def plan(self, pose: np.ndarray, goal: tuple[float, float]) -> np.ndarray | None:
         """Return the cheapest path ``(n, 2)`` [m]; None if there is none.

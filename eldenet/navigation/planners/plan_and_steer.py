@@ -26,6 +26,7 @@ from eldenet.navigation.safety_margins import BESIDE, FAST_ROOM, STEER_MARGIN, S
 from eldenet.simulation.robot import ROBOT
 
 REPLAN_EVERY = 5  # control periods
+NO_WAY = 5.0  # time for which the map must have closed every way to the goal [s]
 REMEMBERED = 300  # control periods that points are remembered
 #: Cost of a meter where the nearest obstacle is less than this away [m]; 1 elsewhere.
 COSTS = ((0.25, math.inf), (0.35, 20.0), (0.42, 3.0), (0.50, 1.5))
@@ -69,6 +70,7 @@ class PlanAndSteer(OnRobot):
     """
 
     name = "astar_online_dqn"
+    patience = 120.0
 
     def __init__(
         self,
@@ -96,6 +98,7 @@ class PlanAndSteer(OnRobot):
         self._sliding = np.zeros(robots, np.intp)  # control periods for which it still drives slower
         self._left = np.zeros(robots, np.intp)  # control periods until a circle is forgotten
         self._backs = np.zeros(robots, np.intp)  # control periods that it still backs up
+        self._closed = np.zeros(robots, np.intp)  # control periods without a way
         self.circles = np.zeros(robots, np.intp)
         self._window = DynamicWindow()
         arcs = [(level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates]
@@ -115,7 +118,12 @@ class PlanAndSteer(OnRobot):
         self._trails[robot] = []
         self._before[robot] = np.nan
         self._sliding[robot] = 0
-        self._left[robot] = self._backs[robot] = self.circles[robot] = 0
+        self._left[robot] = self._backs[robot] = self.circles[robot] = self._closed[robot] = 0
+
+    @property
+    def no_way(self) -> bool:
+        """Whether its map has closed every way to the goal for a while."""
+        return bool(self._closed[0] * ROBOT.period >= NO_WAY)
 
     @torch.inference_mode()
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
@@ -182,6 +190,8 @@ class PlanAndSteer(OnRobot):
             points = self.observer.memory.points(robot) - known.origin
             wide = known.plan_by_costs(pose, goal, WIDE, points) if self._left[robot] > 0 else None
             self._paths[robot] = known.plan_by_costs(pose, goal, COSTS, points) if wide is None else wide
+        closed = self._paths[robot] is None and self._maps[robot].closes(pose, goal)
+        self._closed[robot] = self._closed[robot] + 1 if closed else 0
 
     def _waypoint(
         self, robot: int, pose: np.ndarray, goal: np.ndarray, walls: np.ndarray

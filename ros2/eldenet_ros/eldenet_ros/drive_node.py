@@ -28,6 +28,8 @@ PARAMETERS = {
     "policy": "",
     "plan": False,
     "camera_height": 0.40,
+    "camera_pitch": 0.0,
+    "camera_roll": 0.0,
     "max_speed": 0.3,
     "latency": 0.0,
     "stale": 0.5,
@@ -49,6 +51,8 @@ class DriveNode(Node):
         self.pilot = Pilot(
             driver,
             camera_height=chosen.camera_height,
+            camera_pitch=chosen.camera_pitch,
+            camera_roll=chosen.camera_roll,
             max_speed=chosen.max_speed,
             latency=chosen.latency,
             stale=chosen.stale,

@@ -10,8 +10,8 @@ from eldenet.geometry import check_camera_height
 from eldenet.navigation.latency import check_latency
 from eldenet.navigation.on_robot import OnRobot
 from eldenet.navigation.ranges import LOWEST_CAMERA
+from eldenet.navigation.watch import GOAL_TOLERANCE
 
-GOAL_RADIUS = 0.5  # as in training [m]
 POSES = 1000  # that are kept: 0.5 s of a fast odometry, and more
 
 
@@ -27,6 +27,8 @@ class Command:
 class Pilot:
     """Drives to a goal, and stops without fresh depth and odometry.
 
+    The driver's own watch stops it too, as for a camera that is frozen or tilted otherwise.
+
     Data are fresh while their stamp is less than ``stale`` from the clock, before or after it. So a topic
     that falls silent, a camera that repeats one picture, a slow network and clocks that differ stop the
     robot.
@@ -34,6 +36,8 @@ class Pilot:
     Args:
         driver: decides; :class:`~eldenet.navigation.policy.Navigator`, or a planner that steers with it.
         camera_height: of the optical center above the floor [m].
+        camera_pitch: of the optical axis below the horizon [rad].
+        camera_roll: about that axis, clockwise as it looks [rad].
         max_speed: a faster command is slowed down, with its turn rate [m/s].
         latency: from the odometry until the robot executes the command [s].
         stale: age from which data stop the robot [s].
@@ -47,6 +51,8 @@ class Pilot:
         driver: OnRobot,
         *,
         camera_height: float,
+        camera_pitch: float = 0.0,
+        camera_roll: float = 0.0,
         max_speed: float = 1.0,
         latency: float = 0.0,
         stale: float = 0.5,
@@ -56,7 +62,10 @@ class Pilot:
                 raise ValueError(f"{name}={value}: give a number above 0")
         check_camera_height(camera_height, LOWEST_CAMERA)
         check_latency(latency)
-        self.driver, self.camera_height = driver, camera_height
+        self.driver = driver
+        self.mount = {
+            "camera_height": camera_height, "camera_pitch": camera_pitch, "camera_roll": camera_roll
+        }  # fmt: skip
         self.max_speed, self.latency, self.stale = max_speed, latency, stale
         self.depth: np.ndarray | None = None
         self.sigma: np.ndarray | None = None
@@ -128,7 +137,7 @@ class Pilot:
             return Command(reason="no goal")
         x, y, yaw = self.poses[-1][1]
         distance = math.dist((x, y), self.goal)
-        if distance < GOAL_RADIUS:
+        if distance < GOAL_TOLERANCE:
             self.goal = None
             return Command(reason="goal reached")
         bearing = math.atan2(self.goal[1] - y, self.goal[0] - x) - yaw
@@ -144,7 +153,7 @@ class Pilot:
                 (x, y, yaw),
                 sigma=self.sigma,
                 intrinsics=self.intrinsics,
-                camera_height=self.camera_height,
+                **self.mount,
                 scanned_from=self._pose_at(self.stamps["depth"]),
                 latency=self.latency,
                 max_speed=self.max_speed,

@@ -1,0 +1,251 @@
+"""What a driver on a robot must not drive by: each rule names one fault, and why the robot then stands.
+
+Needs NumPy and OpenCV, no simulator; :meth:`~eldenet.navigation.on_robot.OnRobot.step` asks it every time.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from eldenet.geometry import PinholeCamera
+from eldenet.navigation.floor import Floor, find_floor
+from eldenet.navigation.range_filter import seen_from
+from eldenet.simulation.robot import ROBOT
+
+GOAL_TOLERANCE = 0.5  # as in training [m]
+FARTHEST = 1e5  # greatest distance of a goal, and of a pose from the origin [m]
+TOO_NEAR = 0.05  # no camera measures less: then it is another unit [m]
+NEARLY_ALL = 0.95  # share of the known values
+STALE = 0.4  # age that data may have beyond the latency [s]
+CONTENT = 3.5  # 95 % of the second derivatives of a picture 32 x 24 are below it behind a covered lens
+REPEATS = 2  # scans in a row that repeat the one before: the camera is frozen
+MOVED, TURNED = 0.02, 0.02  # motion after which a scan must differ [m], [rad]
+EVEN = 0.2  # share of a scan that may differ then though it shows even walls only
+STANDS = 0.001  # motion of a pose that stands [m], [rad]
+LAG = 1.0  # time for which a robot that is told to drive may stand, beyond the latency [s]
+TOLD, TOLD_TURN = 0.1, 0.2  # what it was told meanwhile, at least [m], [rad]
+TILT = math.radians(4.0)  # by which the floor may be off its level [rad]
+SCALE = 1.25  # factor by which the floor may be off its height
+FLOORS = 5  # floors that must agree; the median counts
+STUCK_WAY, STUCK_TIME = 0.3, 20.0  # a robot that stays within a way [m] for a time [s] is stuck
+NEARER = 0.5  # progress toward the goal that counts [m]
+
+
+class Look(NamedTuple):
+    """What a driver is given in one period.
+
+    Attributes:
+        depth: as given, of any shape [m].
+        ranges: ``(columns,)`` of it [m].
+        pose: ``(3,)`` x, y [m] and heading [rad] of the odometry.
+        image: ``(H, W, 3)`` uint8 that the depth was predicted from; None: unknown.
+        camera: of a depth map, in the level frame; None: ranges.
+        height: of the camera above the floor [m].
+        latency: until commands are executed [s].
+    """
+
+    depth: np.ndarray
+    ranges: np.ndarray
+    pose: np.ndarray
+    image: np.ndarray | None
+    camera: PinholeCamera | None
+    height: float
+    latency: float
+
+
+class Watch:
+    """Stops one robot by what it is given, period by period.
+
+    Args:
+        patience: way that it may drive without coming nearer to its goal [m].
+
+    Attributes:
+        tolerance: distance at which a goal is reached [m].
+        clock: what ``stamp`` is compared with [s].
+    """
+
+    def __init__(self, patience: float) -> None:
+        self.patience = patience
+        self.tolerance = GOAL_TOLERANCE
+        self.clock: Callable[[], float] = time.monotonic
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was seen; call this at every new start."""
+        self._seen: Look | None = None  # the first look with the present picture
+        self._repeats = 0
+        self._stood: np.ndarray | None = None  # where the odometry stands
+        self._told = np.zeros(3)  # way [m], turn [rad] and time [s] that it was told to drive since
+        self._floors: deque[Floor] = deque(maxlen=FLOORS)
+        self._nearest = math.inf
+        self._goal = np.full(2, math.nan)
+        self._way = 0.0  # since the goal was nearest [m]
+        self._before: np.ndarray | None = None
+        self._places: deque[np.ndarray] = deque(maxlen=round(STUCK_TIME / ROBOT.period))
+
+    def judge(self, look: Look, sent: Sequence[tuple[float, float]]) -> str | None:
+        """Why the robot must stand; None if nothing is wrong. ``sent`` are its commands, oldest first."""
+        rules = (
+            self.covered(look),
+            self.frozen_camera(look),
+            self.frozen_odometry(look, sent),
+            self.floor(look),
+        )
+        return next((reason for reason in rules if reason), None)
+
+    # --- the data of one period -----------------------------------------------------------------------------
+
+    def stale(self, stamp: float | None, latency: float) -> str | None:
+        """Data that are older than the latency allows, or from the future."""
+        if stamp is None:
+            return None
+        age, allowed = self.clock() - stamp, latency + STALE
+        if abs(age) <= allowed:
+            return None
+        when = f"{age:.1f} s old" if age > 0 else f"{-age:.1f} s in the future"
+        return f"data are {when}, {allowed:.1f} s are allowed: check their rate, and the clock of stamp="
+
+    def covered(self, look: Look) -> str | None:
+        """A picture without contrast: a network also predicts depth for a covered lens."""
+        if look.image is None or has_content(look.image):
+            return None
+        return "the picture shows nothing: a covered lens, darkness or a bare wall"
+
+    # --- over time ------------------------------------------------------------------------------------------
+
+    def frozen_camera(self, look: Look) -> str | None:
+        """Picture or depth that stays the same, to the last bit, while the odometry moves."""
+        if self._seen is None or not _same(look, self._seen):
+            # copies: callers may write the next frame into the same array
+            image = None if look.image is None else look.image.copy()
+            self._seen, self._repeats = look._replace(depth=look.depth.copy(), image=image), 0
+            return None
+        self._repeats += 1
+        way, turn = motion(self._seen.pose, look.pose)
+        if self._repeats < REPEATS or (way < MOVED and turn < TURNED):
+            return None
+        if look.image is None and not changes(look.ranges, self._seen.pose, look.pose):
+            return None
+        return "the picture does not change while the wheels turn: a frozen camera"
+
+    def frozen_odometry(self, look: Look, sent: Sequence[tuple[float, float]]) -> str | None:
+        """Odometry that stands though the robot is told to drive; it moves again, or :meth:`reset`."""
+        if self._stood is None or max(motion(self._stood, look.pose)) > STANDS:
+            self._stood, self._told = look.pose, np.zeros(3)
+            return None
+        late = math.ceil(look.latency / ROBOT.period - 1e-9)
+        speed, turn = sent[-1 - late] if len(sent) > late else (0.0, 0.0)
+        if speed or turn:
+            self._told += np.array([abs(speed), abs(turn), 1.0]) * ROBOT.period
+        way, turned, seconds = self._told
+        if seconds < LAG - 1e-9 or (way < TOLD and turned < TOLD_TURN):
+            return None
+        return (
+            f"the odometry stands though the robot was told to drive for {seconds:.1f} s: frozen, or the "
+            "motors are off; reset() once that is over"
+        )
+
+    def floor(self, look: Look) -> str | None:
+        """The floor of the depth map is not where the camera's height, pitch and roll put it."""
+        found = None if look.camera is None else find_floor(look.depth, look.camera)
+        if found is None:
+            return None
+        self._floors.append(found)
+        if len(self._floors) < FLOORS:
+            return None
+        pitch, roll, height = np.median(self._floors, axis=0)
+        for name, angle in (("pitch", pitch), ("roll", roll)):
+            if abs(angle) > TILT:
+                return (
+                    f"the floor is tilted by {math.degrees(abs(angle)):.0f} degrees: the camera's {name} is "
+                    f"{angle:+.2f} rad more than camera_{name}= says"
+                )
+        factor = height / look.height
+        if not 1 / SCALE < factor < SCALE:
+            return (
+                f"the floor is {height:.2f} m below the camera, not {look.height:g}: camera_height or the "
+                f"depth's scale is off by a factor of {factor:.2f}"
+            )
+        return None
+
+    # --- the goal -------------------------------------------------------------------------------------------
+
+    def arrived(self, distance: float) -> str | None:
+        """The goal is reached."""
+        return "goal reached" if distance < self.tolerance else None
+
+    def lost(self, pose: np.ndarray, goal: np.ndarray, no_way: bool) -> str | None:
+        """A goal ``(2,)`` (distance [m], bearing [rad]) to which no way is known, or long none is found.
+
+        ``no_way`` is whether a planner's map has closed every way from ``pose (3,)``.
+        """
+        distance, bearing = goal.tolist()
+        at = pose[:2] + distance * np.array([math.cos(pose[2] + bearing), math.sin(pose[2] + bearing)])
+        if not math.dist(at, self._goal) < NEARER:  # another one
+            self._goal, self._nearest = at, math.inf
+            self._places.clear()
+        self._way += 0.0 if self._before is None else math.dist(pose[:2], self._before[:2])
+        self._before = pose
+        if distance < self._nearest - NEARER:
+            self._nearest, self._way = distance, 0.0
+        self._places.append(pose[:2])
+        if no_way:
+            return "no way to the goal is left on the map of what was seen: an unreachable goal"
+        if self._way > self.patience:
+            return f"{self._way:.0f} m driven without coming nearer to the goal: unreachable, or a dead end"
+        places = np.array(self._places)
+        if len(places) == self._places.maxlen and np.ptp(places, axis=0).max() < STUCK_WAY:
+            return f"the robot has not left its place for {STUCK_TIME:g} s: nothing is free ahead"
+        return None
+
+
+def absurd(depth: np.ndarray, goal: np.ndarray, pose: np.ndarray) -> str | None:
+    """Numbers that no camera, goal ``(2,)`` or pose ``(3,)`` has; None: they may be true."""
+    known = depth[(depth > 0) | np.isneginf(depth)]
+    if known.size and np.isneginf(known).all():
+        return "all of the depth reads too close (-inf): a covered lens, or a wall at the camera"
+    if known.size and (known < TOO_NEAR).mean() > NEARLY_ALL:
+        return f"the depth is below {TOO_NEAR} m nearly everywhere: give meters"
+    if not 0 <= goal[0] <= FARTHEST:
+        return f"the goal is {goal[0]:g} m away: give 0 to {FARTHEST:g}"
+    if not np.abs(pose).max() <= FARTHEST:
+        return f"odometry={pose.tolist()}: give meters and radians, up to {FARTHEST:g}"
+    return None
+
+
+def has_content(image: np.ndarray) -> bool:
+    """Whether a picture ``(H, W, 3)`` or ``(H, W)`` uint8 shows anything, behind the noise of its pixels."""
+    import cv2
+
+    gray = image.mean(axis=2) if image.ndim == 3 else image.astype(float)
+    small = cv2.resize(gray.astype(np.float32), (32, 24), interpolation=cv2.INTER_AREA)
+    edges = np.abs(cv2.Laplacian(small, cv2.CV_32F))[1:-1, 1:-1]  # the glow through a finger is smooth
+    return bool(np.quantile(edges, 0.95) > CONTENT)
+
+
+def motion(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
+    """Way [m] and turn [rad] between two poses ``(3,)``."""
+    return math.dist(before[:2], now[:2]), abs(math.remainder(float(now[2] - before[2]), math.tau))
+
+
+def changes(ranges: np.ndarray, before: np.ndarray, now: np.ndarray) -> bool:
+    """Whether a scan ``(columns,)`` [m] must look different after a motion: not along an even wall."""
+    inside = (ranges > ROBOT.near) & (ranges < ROBOT.far)
+    bearing, away = seen_from(now, ranges, before)
+    seen = inside & (np.abs(bearing) < ROBOT.field_of_view / 2)
+    expected = 1 / np.interp(bearing[seen], ROBOT.column_angles, 1 / ranges)  # exact along straight walls
+    return bool(seen.any() and (np.abs(expected - away[seen]) > MOVED / 2).mean() > EVEN)
+
+
+def _same(look: Look, before: Look) -> bool:
+    """Whether two looks show the same picture, or where there is none the same depth."""
+    first, second = (
+        (look.depth, before.depth)
+        if look.image is None or before.image is None
+        else (look.image, before.image)
+    )
+    return first.shape == second.shape and np.array_equal(first, second, equal_nan=first.dtype.kind == "f")
