@@ -30,6 +30,7 @@ class EpochSampler(Sampler[list[tuple[int, int]]]):
         epoch: of the next pass.
         start: first batch to yield, so that a resumed epoch continues where it stopped.
         left_out: frames that an epoch does not show, others in each.
+        smallest_batch: frames in a process's smallest batch.
     """
 
     def __init__(self, length: int, batch_size: int, *, seed: int, rank: int = 0, processes: int = 1) -> None:
@@ -41,6 +42,7 @@ class EpochSampler(Sampler[list[tuple[int, int]]]):
         whole, rest = divmod(length, together)
         self.batches = whole + 1 if rest and whole < FEW_BATCHES else whole
         self.left_out = max(0, length - self.batches * together)
+        self.smallest_batch = batch_size if self.left_out else (length % batch_size or batch_size)
 
     def __len__(self) -> int:
         return self.batches - self.start

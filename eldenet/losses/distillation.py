@@ -37,6 +37,7 @@ class Teacher:
         self.source = source
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.autocast: Autocast = nullcontext
+        self._place: tuple[torch.device, torch.memory_format] | None = None
 
     @torch.no_grad()
     def __call__(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
@@ -46,7 +47,9 @@ class Teacher:
         """
         channels_last = image.is_contiguous(memory_format=torch.channels_last)
         layout = torch.channels_last if channels_last else torch.contiguous_format
-        self.network.to(image.device).to(memory_format=layout)
+        if self._place != (image.device, layout):
+            self.network.to(image.device).to(memory_format=layout)
+            self._place = image.device, layout
         size = tuple(image.shape[-2:])
         if self.input_size is not None and self.input_size != size:
             shrinks = self.input_size < size  # compares the heights, and the widths where heights are equal

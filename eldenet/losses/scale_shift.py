@@ -27,10 +27,6 @@ class ScaleShiftInvariantLoss(Loss):
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``(B, 1, H, W)`` each, mask bool -> scalar: the mean over the images that have known pixels."""
-        known = mask.flatten(1).any(1)
-        if not known.any():
-            return prediction.sum() * 0.0
-        prediction, target, mask = prediction[known], target[known], mask[known]
         error = self._centered(prediction, mask) - self._centered(target, mask)
         total = _mean(error.abs(), mask)
         for step in range(self.scales if self.gradient_weight else 0):
@@ -40,7 +36,8 @@ class ScaleShiftInvariantLoss(Loss):
                 first, second = (small.narrow(axis, start, size) for start in (0, 1))
                 both = seen.narrow(axis, 0, size) & seen.narrow(axis, 1, size)
                 total = total + self.gradient_weight * _mean((second - first).abs(), both)
-        return total.mean()
+        known = mask.flatten(1).any(1)  # an image without known pixels has a total of 0
+        return total.sum() / known.sum().clamp(min=1)
 
     def _centered(self, values: Tensor, mask: Tensor) -> Tensor:
         """Values ``(B, 1, H, W)`` minus their image's median, over its spread; 0 where the mask is False."""

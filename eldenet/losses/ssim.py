@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from eldenet.losses.base import Loss, fill_masked, masked_mean
 
@@ -27,13 +27,39 @@ def _blur_matrix(length: int, window: int) -> Tensor:
     return matrix
 
 
-def _blur(maps: Tensor, window: int) -> Tensor:
-    """Blurred maps ``(B, 1, H, W)``."""
-    down, across = (_blur_matrix(length, window).to(maps) for length in maps.shape[-2:])
-    return down @ maps @ across.T
+class GaussianBlur(nn.Module):
+    """Blur of maps ``(B, 1, H, W)`` that keeps its matrices on their device: a step copies nothing there.
+
+    Args:
+        window: side of the Gaussian window [px], odd.
+    """
+
+    def __init__(self, window: int) -> None:
+        super().__init__()
+        self.window = window
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Blurred maps ``(B, 1, H, W)``."""
+        down, across = (self._matrix(length, maps) for length in maps.shape[-2:])
+        return down @ maps @ across.T
+
+    def _matrix(self, length: int, maps: Tensor) -> Tensor:
+        name = f"of_{length}"
+        kept = self._buffers.get(name)
+        if kept is None or kept.dtype != maps.dtype or kept.device != maps.device:
+            kept = _blur_matrix(length, self.window).to(maps)
+            self.register_buffer(name, kept, persistent=False)
+        return kept
 
 
-def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: float) -> Tensor:
+def ssim_map(
+    prediction: Tensor,
+    target: Tensor,
+    *,
+    window: int,
+    value_range: float,
+    blur: nn.Module | None = None,
+) -> Tensor:
     """Return the SSIM of two maps per pixel, ``(B, 1, H, W)`` in [-1, 1] (Wang et al. 2004).
 
     The values equal those of ``kornia.metrics.ssim``. The blur is two matrix products, because CPUs are
@@ -44,6 +70,13 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
     ``structural_similarity(gaussian_weights=True, use_sample_covariance=False)`` repeats it: the same values
     but within half a window of the border.
 
+    Args:
+        prediction: ``(B, 1, H, W)`` [m].
+        target: the same.
+        window: side of the Gaussian window [px], odd.
+        value_range: L of the SSIM constants.
+        blur: a :class:`GaussianBlur` of ``window``; None: a new one.
+
     Raises:
         ValueError: a map is not larger than the window's radius, as reflection needs.
     """
@@ -52,14 +85,15 @@ def ssim_map(prediction: Tensor, target: Tensor, *, window: int, value_range: fl
             f"maps of {tuple(prediction.shape)} are too small for SSIM's window of {window} pixels: "
             f"height and width must exceed {window // 2}"
         )
+    blur = blur or GaussianBlur(window)
     # a variance is a small difference of large means: bf16 autocast would lose it
     with torch.autocast(prediction.device.type, enabled=False):
         dtype = torch.promote_types(torch.promote_types(prediction.dtype, target.dtype), torch.float32)
         prediction, target = prediction.to(dtype), target.to(dtype)
         # separate, so that no gradient is computed for the target's own moments
-        mean_t, square_t = _blur(torch.cat([target, target**2]), window).chunk(2)
+        mean_t, square_t = blur(torch.cat([target, target**2])).chunk(2)
         moments = torch.cat([prediction, prediction**2, prediction * target])
-        mean_p, square_p, product = _blur(moments, window).chunk(3)
+        mean_p, square_p, product = blur(moments).chunk(3)
     c1, c2 = (0.01 * value_range) ** 2, (0.03 * value_range) ** 2
     means, squares = mean_p * mean_t, mean_p**2 + mean_t**2
     covariance, variances = product - means, square_p + square_t - squares
@@ -87,18 +121,26 @@ class SSIMLoss(Loss):
         if window % 2 == 0:
             raise ValueError(f"window={window}: give an odd number of pixels")
         self.window, self.value_range = window, value_range
+        self.blur = GaussianBlur(window)
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``(B, 1, H, W)`` [m] each, mask bool -> scalar in [0, 1]."""
         prediction, target = fill_masked(prediction, target, mask)
-        similarity = ssim_map(prediction, target, window=self.window, value_range=self.value_range)
+        similarity = ssim_map(
+            prediction, target, window=self.window, value_range=self.value_range, blur=self.blur
+        )
         return masked_mean((1 - similarity) / 2, eroded(mask, self.window))
 
 
 def eroded(mask: Tensor, window: int) -> Tensor:
     """Return the pixels ``(B, 1, H, W)`` whose ``window`` is known wherever it lies inside the image."""
-    if bool(mask.all()):
+    if _known_everywhere(mask):
         return mask
     unknown, radius = (~mask).float(), window // 2
     unknown = F.max_pool2d(unknown, (window, 1), stride=1, padding=(radius, 0))
     return F.max_pool2d(unknown, (1, window), stride=1, padding=(0, radius)) == 0
+
+
+def _known_everywhere(mask: Tensor) -> bool:
+    """Whether a mask is known to be full; False on a GPU, which would have to be waited for."""
+    return mask.device.type == "cpu" and not torch.compiler.is_compiling() and bool(mask.all())

@@ -232,5 +232,12 @@ def seed_everything(seed: int) -> None:
     random.seed(seed)
     np.random.seed(seed % 2**32)
     torch.manual_seed(seed)
-    torch.backends.cudnn.benchmark = False
-    torch.use_deterministic_algorithms(True, warn_only=True)
+    repeatable(True)
+
+
+def repeatable(on: bool) -> None:
+    """Ask torch for the same result each time, or for the fastest kernels."""
+    import torch
+
+    torch.backends.cudnn.benchmark = not on
+    torch.use_deterministic_algorithms(on, warn_only=True)

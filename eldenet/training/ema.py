@@ -26,10 +26,14 @@ class WeightAverage:
     def update(self, model: nn.Module, updates: int) -> None:
         """Average in ``model`` after its update number ``updates``; copy buffers (BatchNorm's)."""
         decay = min(self.decay, (1 + updates) / (10 + updates))
-        for mean, value in zip(self.model.parameters(), model.parameters(), strict=True):
-            mean.lerp_(value, 1 - decay)
-        for kept, current in zip(self.model.buffers(), model.buffers(), strict=True):
-            kept.copy_(current)
+        torch._foreach_lerp_(list(self.model.parameters()), list(model.parameters()), 1 - decay)
+        for is_float in (True, False):  # one kernel takes tensors of one kind
+            kept, current = (
+                [buffer for buffer in net.buffers() if buffer.is_floating_point() == is_float]
+                for net in (self.model, model)
+            )
+            if kept:
+                torch._foreach_copy_(kept, current)
 
 
 def average_gradients(module: nn.Module, accelerator: Any) -> None:

@@ -1,11 +1,13 @@
 """Optimizers with a separate learning rate for the backbone, and learning rate schedules."""
 
+import functools
+import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from torch import nn
 from torch.optim import Optimizer
-from torch.optim.lr_scheduler import LambdaLR
+from torch.optim.lr_scheduler import LambdaLR, ReduceLROnPlateau
 
 
 def _warm(step: int, warmup_steps: int) -> float:
@@ -71,6 +73,40 @@ def epoch_decay(
     return LambdaLR(optimizer, lambda step: decay ** (step // steps_per_epoch))
 
 
+def plateau(
+    optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, factor: float = 0.5, patience: int = 3
+) -> ReduceLROnPlateau:
+    """Multiply the rate by ``factor`` after more than ``patience`` validations without a better one."""
+    return ReduceLROnPlateau(optimizer, factor=factor, patience=patience, threshold=0.0, threshold_mode="abs")
+
+
+def fused(make: Callable[..., Optimizer]) -> Callable[..., Optimizer]:
+    """An optimizer that updates all weights in one kernel, where it has one and its settings do not say."""
+    given = make.keywords if isinstance(make, functools.partial) else {}
+    known = "fused" in inspect.signature(make).parameters
+    return functools.partial(make, fused=True) if known and not {"fused", "foreach"} & given.keys() else make
+
+
+def frozen_parts(model: nn.Module, names: Sequence[str]) -> list[nn.Module]:
+    """Return the parts of a model's network with these names, whose weights no longer learn.
+
+    Raises:
+        ValueError: there is no such part, or nothing is left to learn.
+    """
+    network = getattr(model, "network", model)
+    parts = dict(network.named_modules())
+    for name in names:
+        if name not in parts or not name:
+            raise ValueError(
+                f"freeze={name}: this network has no such part; it has "
+                f"{', '.join(name for name, _ in network.named_children())}"
+            )
+        parts[name].requires_grad_(False)
+    if not any(parameter.requires_grad for parameter in model.parameters()):
+        raise ValueError(f"freeze={list(names)} leaves nothing to learn: leave a part out")
+    return [parts[name] for name in names]
+
+
 def build_optimizer(
     make: Callable[..., Optimizer], model: nn.Module, loss: nn.Module, *, backbone_lr_factor: float = 1.0
 ) -> Optimizer:
@@ -86,7 +122,7 @@ def build_optimizer(
         raise ValueError(
             f"backbone_lr_factor={backbone_lr_factor}: give 0 (frozen except for its statistics) or more"
         )
-    every = [*model.parameters(), *loss.parameters()]
+    every = [p for p in (*model.parameters(), *loss.parameters()) if p.requires_grad]
     if backbone_lr_factor == 1:
         return make(every)
     backbone = getattr(getattr(model, "network", None), "backbone", None)
@@ -94,7 +130,7 @@ def build_optimizer(
         raise ValueError(
             f"backbone_lr_factor={backbone_lr_factor}: this network has no separate backbone, give 1"
         )
-    slow = list(backbone.parameters())
+    slow = [parameter for parameter in backbone.parameters() if parameter.requires_grad]
     known = {id(parameter) for parameter in slow}
     optimizer = make([{"params": [p for p in every if id(p) not in known]}, {"params": slow}])
     optimizer.param_groups[1]["lr"] *= backbone_lr_factor

@@ -1,13 +1,16 @@
 """One visible training loop. To change a step, subclass :class:`Trainer` and override ``train_step``."""
 
+import copy
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import EpochSampler, evaluation_loader, to_device, training_loader
@@ -20,12 +23,15 @@ from eldenet.model import DepthNet
 from eldenet.results.loggers import LOGGERS
 from eldenet.results.run_log import RunLog
 from eldenet.system.checks import one_of
-from eldenet.system.resources import Resources, make_accelerator, seed_everything
+from eldenet.system.files import displayed
+from eldenet.system.resources import Resources, make_accelerator, repeatable, seed_everything
 from eldenet.system.signals import GracefulStop
 from eldenet.training.checkpoint import BEST, LAST, Progress, TrainingState, bring_best, described
+from eldenet.training.cuda_graph import GraphedStep
 from eldenet.training.ema import WeightAverage, average_gradients
 from eldenet.training.loss_meter import BLANK, LossMeter, timed
-from eldenet.training.optim import build_optimizer
+from eldenet.training.optim import build_optimizer, frozen_parts, fused
+from eldenet.training.profile import TRACE, Profile
 
 SIGNATURE = (
     "monitor",
@@ -34,8 +40,10 @@ SIGNATURE = (
     "epochs",
     "backbone_lr_factor",
     "ema_decay",
+    "freeze",
     "sync_batchnorm",
 )  # a checkpoint's
+IMPLEMENTATION = ("foreach", "fused", "capturable")  # of an optimizer: how it computes, not what
 #: Column of history.csv -> its name in the line of an epoch; all but the loss are of the validation frames.
 SHOWN = {"train_total": "loss", "val_delta1": "delta1", "val_abs_rel": "abs_rel", "val_rmse": "rmse"}
 
@@ -59,12 +67,17 @@ class Trainer:
 
     Args:
         optimizer: parameters -> optimizer.
-        scheduler: (optimizer, total_steps, steps_per_epoch) -> schedule, stepped once per update.
+        scheduler: (optimizer, total_steps, steps_per_epoch) -> schedule, stepped once per update; a
+            ``ReduceLROnPlateau`` follows ``monitor``, once per validation.
         epochs: passes over the training set.
+        patience: validations without a better ``monitor`` after which the training ends; None: it has all
+            epochs.
         batch_size: images per process and batch.
         accumulate_grad_batches: batches per update.
         max_grad_norm: gradients are clipped to this norm; None: not clipped.
         backbone_lr_factor: learning rate of the backbone, relative to the optimizer's.
+        freeze: parts of the network, such as ``["backbone"]``, that do not learn: their weights and BatchNorm
+            statistics stay.
         ema_decay: decay of an exponential moving average of the weights, which is then evaluated and saved;
             None: no average.
         channels_last: memory layout of images and weights.
@@ -76,6 +89,11 @@ class Trainer:
         checkpoint_every: updates between step checkpoints (an epoch's end always writes one).
         evaluate_every: epochs between validations; the last epoch always has one.
         seed: of frame order, augmentation and anything random in the network.
+        deterministic: the same result each time, at the cost of speed on a GPU; None: on a CPU, where it is
+            free. Without it, cuDNN tries which kernels are fastest.
+        compile: ``torch.compile`` network and loss: a slow start, then faster steps.
+        cuda_graph: replay a step of one GPU as a CUDA graph, for small networks and batches.
+        profile: write a trace of a few steps, and print where the time went.
         loggers: names of :data:`~eldenet.results.loggers.LOGGERS`, which get the curves and pictures.
     """
 
@@ -85,10 +103,12 @@ class Trainer:
         optimizer: Callable[..., torch.optim.Optimizer],
         scheduler: Callable[..., torch.optim.lr_scheduler.LRScheduler],
         epochs: int,
+        patience: int | None = None,
         batch_size: int = 32,
         accumulate_grad_batches: int = 1,
         max_grad_norm: float | None = None,
         backbone_lr_factor: float = 1.0,
+        freeze: Sequence[str] = (),
         ema_decay: float | None = None,
         channels_last: bool = True,
         sync_batchnorm: bool = False,
@@ -97,6 +117,10 @@ class Trainer:
         evaluate_every: int = 1,
         seed: int = 0,
         loss_camera: str = "canonical",
+        deterministic: bool | None = None,
+        compile: bool = False,
+        cuda_graph: bool = False,
+        profile: bool = False,
         loggers: Sequence[str] = ("tensorboard",),
     ) -> None:
         self.loggers = tuple(loggers)
@@ -111,6 +135,7 @@ class Trainer:
             "accumulate_grad_batches": accumulate_grad_batches,
         }
         counts |= {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
+        counts |= {} if patience is None else {"patience": patience}
         for name, value in counts.items():
             if not (isinstance(value, int) and value >= 1):
                 raise ValueError(f"{name}={value}: give a whole number, 1 or more")
@@ -118,7 +143,15 @@ class Trainer:
             raise ValueError(f"max_grad_norm={max_grad_norm}: give a number above 0, or null for no clipping")
         if seed < 0:
             raise ValueError(f"seed={seed}: give 0 or more")
+        if cuda_graph and (profile or accumulate_grad_batches > 1):
+            raise ValueError(
+                "trainer.cuda_graph=true replays an update as one piece: it needs accumulate_grad_batches=1 "
+                "and profile=false"
+            )
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
+        self.patience, self.freeze = patience, list(freeze)
+        self.deterministic, self.compile = deterministic, compile
+        self.cuda_graph, self.profile = cuda_graph, profile
         self.epochs, self.batch_size, self.accumulate_grad_batches = (
             epochs,
             batch_size,
@@ -162,13 +195,18 @@ class Trainer:
         self.log.say(self._plan())
         with GracefulStop() as stop:
             for epoch in range(progress.epoch, self.epochs):
+                if self._waited_enough():
+                    self.log.say(f"ends here: no better {self.monitor} in {self.patience} validations")
+                    break
                 self._train_epoch(epoch, stop)
                 if stop and progress.batch < self.sampler.batches:
                     self._stop(stop)
                 self._end_epoch(epoch)
                 if stop:
                     self._stop(stop)
+        self._say_times()
         self.log.close()
+        repeatable(True)
         del self.loader, self.val_loader  # their workers end with them
         if progress.best_epoch < 1:
             raise ValueError(
@@ -182,6 +220,8 @@ class Trainer:
         progress, batches = self.progress, self.sampler.batches
         self.sampler.epoch, self.sampler.start = epoch, progress.batch
         self.model.train()
+        for part in self.frozen:
+            part.eval()
         with self.log.bar(
             f"epoch {epoch + 1}/{self.epochs}",
             batches * self.batch_size,
@@ -192,15 +232,18 @@ class Trainer:
                 progress.batch += 1
                 update = progress.batch % self.accumulate_grad_batches == 0 or progress.batch == batches
                 batch = to_device(batch, self.accelerator.device, channels_last=self.channels_last)
-                terms = self.train_step(batch, update=update)
+                terms = self.train_step(batch, update=update) if self.graph is None else self.graph(batch)
                 self.meter.add(progress.step, terms | {BLANK: ~batch["mask"].any()})
+                if update:
+                    self._after_update()
+                    if self.times is not None:
+                        self.times.step()
                 progress.step += update
                 progress.seconds += time.monotonic() - started
                 if update and progress.step % self.checkpoint_every == 0 and progress.batch < batches:
                     self._save(LAST)
-                bar.advance(
-                    len(batch["name"]), f"loss {progress.sums.get('total', 0.0) / progress.batch:.4f}"
-                )
+                mean = progress.sums.get("total", 0.0) / max(1, progress.batch - self.meter.unread)
+                bar.advance(len(batch["name"]), f"loss {mean:.4f}")
                 if stop and update:
                     return
 
@@ -233,15 +276,36 @@ class Trainer:
     def train_step(self, batch: dict[str, Any], *, update: bool) -> dict[str, Tensor]:
         """Forward, loss, backward and, if ``update``, one step of the optimizer.
 
+        Nothing in it waits for a GPU. The schedule and the average of the weights follow after it.
+
         Returns:
-            The detached loss terms by name, ``total`` first, and ``mse`` [m²], which is only watched.
+            The detached loss terms by name, ``total`` first, ``mse`` [m²], which is only watched, and
+            ``grad_norm`` of an update, times its batches.
         """
-        spread = None
-        with self.accelerator.autocast():
-            if self.loss.needs_spread:
-                prediction, spread = self.model(batch["image"], with_spread=True)
-            else:
-                prediction = self.model(batch["image"])
+        batches = self._batches_of_this_update()
+        # DDP adds up the gradients of all processes once per update
+        with nullcontext() if update else self.accelerator.no_sync(self.model):
+            with self.part("forward"), self.accelerator.autocast():
+                if self.loss.needs_spread:
+                    prediction, spread = self._network(batch["image"], with_spread=True)
+                else:
+                    prediction, spread = self._network(batch["image"]), None
+            with self.part("loss"):
+                total, terms = self._losses(batch, prediction, spread)
+            with self.part("backward"):
+                self.accelerator.backward(total / batches)
+        if update:
+            with self.part("optimizer"):
+                average_gradients(self.loss, self.accelerator)  # DDP averages the model's
+                terms["grad_norm"] = self._clip_gradients() * batches
+                self.optimizer.step()
+                self.optimizer.zero_grad(set_to_none=True)
+        return {name: value.detach() for name, value in ({"total": total} | terms).items()}
+
+    def _losses(
+        self, batch: dict[str, Any], prediction: Tensor, spread: Tensor | None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss, a scalar, and ``mse`` [m²] and the loss's terms by name."""
         depth, focal = batch["depth"], batch["intrinsics"][:, 0, 0]
         canonical_px = self.bare_model.canonical_px
         mse = squared_error(in_meters(prediction.detach(), focal, canonical_px), batch)
@@ -251,20 +315,29 @@ class Trainer:
         else:
             prediction = in_meters(prediction, focal, canonical_px)
         relative = batch.get("relative")
-        total, terms = self.loss(
+        total, terms = self._criterion(
             LossInputs(prediction, depth, batch["mask"], batch["image"], focal, relative, spread)
         )
-        self.accelerator.backward(total / self._batches_of_this_update())
-        if update:
-            average_gradients(self.loss, self.accelerator)  # DDP averages the model's
-            if self.max_grad_norm is not None:
-                self.accelerator.clip_grad_norm_(self.model.parameters(), self.max_grad_norm)
-            self.optimizer.step()
-            self.optimizer.zero_grad(set_to_none=True)
+        return total, {"mse": mse} | terms
+
+    def _clip_gradients(self) -> Tensor:
+        """Clip to ``max_grad_norm``; return the norm before, 0 where fp16's scaler skips the update."""
+        self.accelerator.unscale_gradients()
+        parameters = [p for p in self.model.parameters() if p.grad is not None]
+        norm = torch.nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+        if self.max_grad_norm is not None:
+            torch.nn.utils.clip_grads_with_norm_(parameters, self.max_grad_norm, norm)
+        return norm if self.accelerator.scaler is None else norm.nan_to_num(0.0, 0.0, 0.0)
+
+    def _after_update(self) -> None:
+        if not isinstance(self.scheduler, ReduceLROnPlateau):
             self.scheduler.step()
-            if self.average is not None:
-                self.average.update(self.bare_model, self.progress.step)
-        return {"total": total.detach(), "mse": mse} | {name: value.detach() for name, value in terms.items()}
+        if self.average is not None:
+            self.average.update(self.bare_model, self.progress.step)
+
+    def part(self, name: str) -> AbstractContextManager[None]:
+        """Time a block for ``profile``."""
+        return nullcontext() if self.times is None else self.times.part(name)
 
     def _batches_of_this_update(self) -> int:
         """``accumulate_grad_batches``; fewer in the epoch's last update, which takes what is left."""
@@ -284,18 +357,22 @@ class Trainer:
     ) -> None:
         seed_everything(self.seed)
         self.accelerator = make_accelerator(resources)
+        device = self.accelerator.device
+        repeatable(device.type == "cpu" if self.deterministic is None else self.deterministic)
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
         self.train_set, self.val_set, self.protocol = data
         self.folder = folder
         loss.setup(model, self.accelerator.autocast)
-        self.loss = loss.to(self.accelerator.device)
+        self.loss = loss.to(device)
         if self.sync_batchnorm and self.processes > 1:
-            synchronize_batchnorm(model, self.accelerator.device)
+            synchronize_batchnorm(model, device)
+        self.sampler = self._sampler(self.batch_size)
+        if self.sampler.smallest_batch == 1:
+            self._refuse_batch_of_one(model)
+        model.to(device)
         if self.channels_last:
             model.to(memory_format=torch.channels_last)
-        self.sampler = EpochSampler(
-            len(self.train_set), self.batch_size, seed=self.seed, rank=self.rank, processes=self.processes
-        )
+        self.frozen = frozen_parts(model, self.freeze)
         self.loader = training_loader(
             self.train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
         )
@@ -308,9 +385,14 @@ class Trainer:
         )
         steps_per_epoch = math.ceil(self.sampler.batches / self.accumulate_grad_batches)
         optimizer = build_optimizer(
-            self.make_optimizer, model, self.loss, backbone_lr_factor=self.backbone_lr_factor
+            fused(self.make_optimizer) if device.type == "cuda" else self.make_optimizer,
+            model,
+            self.loss,
+            backbone_lr_factor=self.backbone_lr_factor,
         )
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
+        self._network = torch.compile(self.model) if self.compile else self.model
+        self._criterion = torch.compile(self.loss) if self.compile else self.loss
         # without accelerate's autocast, which would stay on in validation; train_step has its own
         self.bare_model = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
         self.scheduler = self.make_scheduler(optimizer, self.epochs * steps_per_epoch, steps_per_epoch)
@@ -333,7 +415,8 @@ class Trainer:
                 "batch_size": self.batch_size * self.processes,
                 "processes": self.processes,
                 "threads": resources.threads,
-                "optimizer": {"class": type(optimizer).__name__} | optimizer.defaults,
+                "optimizer": {"class": type(optimizer).__name__}
+                | {name: value for name, value in optimizer.defaults.items() if name not in IMPLEMENTATION},
                 "scheduler": described(self.make_scheduler),
                 "teacher": loss.signature,
                 "precision": resources.precision,
@@ -345,7 +428,9 @@ class Trainer:
             note = self.state.restore(Path(ckpt_path), epochs=self.epochs, batches=self.sampler.batches)
             if self.accelerator.is_main_process:
                 bring_best(Path(ckpt_path), folder, self.progress)
-        self.meter = LossMeter(self.progress.sums, eager=self.accelerator.device.type == "cpu")
+        self.graph = self._graphed_step() if self.cuda_graph else None
+        self.times = Profile(folder, device) if self.profile and self.accelerator.is_main_process else None
+        self.meter = LossMeter(self.progress.sums, eager=device.type == "cpu")
         # an epoch's points lie at its last step: a resumed run keeps them
         self.log = RunLog(
             folder,
@@ -355,6 +440,39 @@ class Trainer:
         )
         if note:
             self.log.say(note)
+
+    def _sampler(self, batch_size: int) -> EpochSampler:
+        return EpochSampler(
+            len(self.train_set), batch_size, seed=self.seed, rank=self.rank, processes=self.processes
+        )
+
+    def _graphed_step(self) -> GraphedStep:
+        """A :meth:`train_step` that is replayed; raises ValueError where it cannot be."""
+        fits = (
+            self.accelerator.device.type == "cuda" and self.processes == 1 and self.accelerator.scaler is None
+        )
+        if not fits:
+            raise ValueError(
+                "trainer.cuda_graph=true is for one GPU in bf16 or fp32: set it to false, or runtime.device="
+                "cuda and runtime.precision=bf16"
+            )
+        return GraphedStep(lambda batch: self.train_step(batch, update=True), self.optimizer.optimizer)
+
+    def _refuse_batch_of_one(self, model: DepthNet) -> None:
+        """Raise ValueError if the network cannot train on one frame: BatchNorm of a map of 1 x 1 pixels."""
+        with torch.random.fork_rng(devices=()):
+            try:
+                copy.deepcopy(model).train()(self.train_set[0, 0]["image"][None])
+            except ValueError as error:
+                if "more than 1 value per channel" not in str(error):
+                    raise
+                sizes = (size for size in range(2, len(self.train_set) + 1))
+                works = next(size for size in sizes if self._sampler(size).smallest_batch > 1)
+                raise ValueError(
+                    f"trainer.batch_size={self.batch_size} leaves a batch of one frame of "
+                    f"{len(self.train_set)}, where this network's BatchNorm sees one value per channel: use "
+                    f"trainer.batch_size={works}"
+                ) from error
 
     # ------------------------------------------------------------------ after an epoch
 
@@ -374,7 +492,11 @@ class Trainer:
         better = False
         if (epoch + 1) % self.evaluate_every == 0 or epoch + 1 == self.epochs:
             self.state.refuse_broken()
-            metrics = self._validate()
+            with self.part("validation"):
+                metrics = self._validate()
+            if isinstance(self.scheduler, ReduceLROnPlateau):  # smaller is better
+                sign = 1 if self.monitor in LOWER_IS_BETTER else -1
+                self.scheduler.step(sign * metrics[self.monitor])
             row |= {f"val_{name}": metrics[name] for name in METRICS}
             better = self._is_better(metrics[self.monitor])
             if better:
@@ -447,6 +569,19 @@ class Trainer:
                 "validation", self.progress.step, sample_rows(model, self.val_set, self.protocol)
             )
         return result.metrics
+
+    def _waited_enough(self) -> bool:
+        """Whether the last ``patience`` validations were no better than the best epoch."""
+        validated = [row["epoch"] for row in self.progress.history if f"val_{self.monitor}" in row]
+        later = sum(epoch > self.progress.best_epoch for epoch in validated)
+        return self.patience is not None and later >= self.patience
+
+    def _say_times(self) -> None:
+        """Print the table of ``profile``."""
+        if self.times is not None:
+            self.times.seconds["data"] = self.progress.waited
+            title = f"where the time went; a trace of some steps: {displayed(self.folder / TRACE)}"
+            self.log.table(title, ("part", "seconds", "share", "ms a step"), self.times.close())
 
     def _is_better(self, value: float) -> bool:
         best = self.progress.best_value

@@ -39,6 +39,7 @@ def test_batches_without_a_known_pixel_are_counted(tmp_path: Path, capsys) -> No
         "train_total",
         "train_mse",
         "train_l1",
+        "train_grad_norm",
     ]
 
 

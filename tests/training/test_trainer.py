@@ -64,10 +64,13 @@ def test_a_nan_loss_stops_with_its_step_and_keeps_the_last_good_checkpoint(tmp_p
 def test_a_meter_of_an_accelerator_looks_now_and_then_and_loses_nothing():
     eager, patient = ({}, {})
     meters = [LossMeter(eager, eager=True), LossMeter(patient, eager=False)]
-    for step in range(READ_EVERY + 3):
+    steps = 2 * READ_EVERY + 3  # the second look takes what was sent at the first
+    for step in range(steps):
         for meter in meters:
             meter.add(step, {"total": torch.tensor(float(step))})
-    assert patient["total"] < eager["total"] == sum(range(READ_EVERY + 3))
+    assert patient["total"] == sum(range(READ_EVERY))
+    assert meters[1].unread == READ_EVERY + 3
+    assert eager["total"] == sum(range(steps))
     meters[1].read()  # as before every checkpoint
     assert patient == eager
     meters[1].add(20, {"total": torch.tensor(1.0)})
