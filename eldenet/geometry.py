@@ -4,15 +4,15 @@ Convention: pixel centers are whole numbers (the center of the first pixel is (0
 z forward, as in OpenCV. So a resize by s moves a point u to (u + 0.5) * s - 0.5.
 """
 
-import logging
 import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from eldenet.system.errors import warn_once
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -133,16 +133,10 @@ def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int], *, inside: b
         )
     check_focal(fx, size, f"fx={fx:g} of the intrinsics", hint)
     if not centered and not any_lens():
-        _warn(
+        warn_once(
             f"{at} of the intrinsics is far from the middle of a picture of {width} x {height}: they would "
             f"be right at about {middle}; if that is the size of the calibration, scale all four to this one"
         )
-
-
-@lru_cache(maxsize=1000)
-def _warn(line: str) -> None:
-    """Warn of the same thing once."""
-    logging.getLogger("eldenet").warning("%s", line)
 
 
 def check_focal(focal: float, size: tuple[int, int], name: str, hint: str = "") -> None:

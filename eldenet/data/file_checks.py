@@ -15,6 +15,10 @@ import numpy as np
 from eldenet.system.errors import first_line
 from eldenet.system.extras import require
 
+ORIENTATION = 0x112  # EXIF's and TIFF's tag
+SUBFILE, PHOTOMETRIC, DNG_VERSION = 254, 262, 50706  # TIFF's tags
+RAW_PHOTOMETRIC = (32803, 34892)  # color filter array, linear raw
+
 
 def _png_fault(content: bytes) -> str:
     """Check every chunk's checksum up to IEND."""
@@ -82,7 +86,7 @@ def picture_size(content: bytes) -> tuple[int, int]:
             import simplejpeg
 
             height, width, *_ = simplejpeg.decode_jpeg_header(content)
-            return height * max(1, content.count(b"\xff\xda") // 100), width
+            return height * max(1, _scans(content) // 100), width
         if content.startswith(b"\x89PNG"):
             width, height = struct.unpack(">II", content[16:24])
         elif content.startswith(b"BM"):
@@ -101,6 +105,73 @@ def picture_size(content: bytes) -> tuple[int, int]:
         raise
     except Exception:  # the check of the format, or the decoder, says what is wrong
         return 0, 0
+
+
+# the next marker in a JPEG's compressed data, where FF 00 is a number and D0 to D7 restart the decoder
+_JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)
+
+
+def _scans(content: bytes) -> int:
+    """Number of scans of a JPEG; what lies behind its end, as in a phone's motion photo, is no part of it."""
+    count, at = 0, 2
+    while (marker := _JPEG_MARKER.search(content, at)) and marker[1] != b"\xd9":
+        count += marker[1] == b"\xda"
+        at = marker.end() + int.from_bytes(content[marker.end() : marker.end() + 2])
+    return count
+
+
+OTHER_FORMATS = (
+    (b"\0\0\0\x0cJXL ", "JPEG XL"),
+    (b"\xff\x0a", "JPEG XL"),
+    (b"\0\0\0\x0cjP  ", "JPEG 2000"),
+    (b"GIF8", "GIF"),
+    (b"8BPS", "Photoshop"),
+    (b"FUJIFILMCCD-RAW", "raw photo"),
+    (b"IIRO", "raw photo"),
+    (b"IIU\0", "raw photo"),
+    (b"II*\0\x10\0\0\0CR", "raw photo"),
+    (b"P1", "PBM or text PNM"),
+    (b"P2", "PBM or text PNM"),
+    (b"P3", "PBM or text PNM"),
+    (b"P4", "PBM or text PNM"),
+)
+"""First bytes of files in formats that nothing here reads, and their names."""
+
+
+def other_format(content: bytes) -> str:
+    """Return the name of a format that nothing here reads; empty: it is none of those.
+
+    A raw photo (DNG, NEF, ARW ...) is a TIFF whose first picture is a small preview or the sensor's numbers.
+    """
+    if content[4:8] == b"ftyp" and content[8:12] in (b"avif", b"avis", b"crx "):
+        return "raw photo" if content[8:12] == b"crx " else "AVIF"
+    name = next((name for magic, name in OTHER_FORMATS if content.startswith(magic)), "")
+    if content[:4] in (b"II*\0", b"MM\0*"):
+        try:
+            directory = _tiff_directory(content)
+            is_raw = DNG_VERSION in directory or directory.get(SUBFILE, 0) & 1
+            return "raw photo" if is_raw or directory.get(PHOTOMETRIC) in RAW_PHOTOMETRIC else name
+        except Exception:  # the check of TIFF says what is wrong
+            return name
+    return name
+
+
+def with_raw_orientation(content: bytes) -> bytes:
+    """Return a TIFF without its orientation, for decoders that always turn it; other files as they are."""
+    if content[:4] not in (b"II*\0", b"MM\0*"):
+        return content
+    order = "<" if content[:1] == b"I" else ">"
+    changed = bytearray(content)
+    try:
+        (start,) = struct.unpack_from(f"{order}I", content, 4)
+        (count,) = struct.unpack_from(f"{order}H", content, start)
+        for entry in range(start + 2, start + 2 + 12 * count, 12):
+            (tag,) = struct.unpack_from(f"{order}H", content, entry)
+            if tag == ORIENTATION:
+                struct.pack_into(f"{order}HHIHH", changed, entry, ORIENTATION, 3, 1, 1, 0)  # a short: 1
+    except struct.error:  # the check of TIFF says what is wrong
+        return content
+    return bytes(changed)
 
 
 def is_heif(content: bytes) -> bool:
@@ -160,10 +231,25 @@ def decode_picture(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
         upright = not flags & cv2.IMREAD_IGNORE_ORIENTATION
         if fault or not (picture is None or upright):
             return picture, fault
+    as_stored = flags == cv2.IMREAD_UNCHANGED or flags & cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        return cv2.imdecode(np.frombuffer(content, np.uint8), flags), ""
+        if as_stored:
+            content = with_raw_orientation(content)
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        if flags != cv2.IMREAD_UNCHANGED and (header := _NETPBM.match(content)) and picture is not None:
+            return _of_full_range(picture, int(header[4]))
+        return picture, ""
     except cv2.error as error:  # such as a size that no memory holds
         return None, str(error).strip().splitlines()[0]
+
+
+def _of_full_range(picture: np.ndarray, peak: int) -> tuple[np.ndarray, str]:
+    """Scale a PPM or PGM of 8 bits, whose largest number may be any, to 255."""
+    if not 0 < peak < 255:
+        return picture, ""
+    if picture.max(initial=0) > peak:
+        return picture, f"numbers above its peak of {peak}"
+    return ((picture.astype(np.uint32) * 510 + peak) // (2 * peak)).astype(np.uint8), ""
 
 
 def _decode_jpeg(content: bytes) -> tuple[np.ndarray | None, str]:

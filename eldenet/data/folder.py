@@ -10,7 +10,7 @@ from eldenet.data.base import SPARSE, FileDataset, SampleOptions, check_pair
 from eldenet.data.camera_files import Camera, read_camera
 from eldenet.data.frame_lists import stated_scale
 from eldenet.data.io import Encoding, depth_encoding, is_turned, read_depth, read_image, read_raw_depth
-from eldenet.data.paths import find_root, natural_order
+from eldenet.data.paths import composed, find_root, natural_order
 from eldenet.data.recordings import Layout, RecordedFrame
 from eldenet.geometry import resample_depth, resize_sparse, same_aspect
 from eldenet.system.checks import one_of
@@ -259,7 +259,7 @@ def _named(names: Sequence[str], val_names: Sequence[str] | str | Path, *, wante
     if isinstance(val_names, str | Path):
         text = read_text(Path(val_names), "val_names must be a list of names, or a text file")
         val_names = [line.strip() for line in text.splitlines() if line.strip()]
-    wanted_names = set(val_names)
+    wanted_names = set(map(composed, val_names))
     unknown = sorted(wanted_names - set(names))
     if unknown:
         raise ValueError(

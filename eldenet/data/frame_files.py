@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eldenet.data.paths import natural_order, visible_files
+from eldenet.data.paths import as_on_disk, composed, natural_order, visible_files
 from eldenet.system.files import read_text
 
 Key = tuple[str, ...]
@@ -41,7 +41,7 @@ def find_frame_files(root: Path, place: str, endings: Sequence[str]) -> dict[Key
         match = as_file.fullmatch(file) or as_folder.fullmatch(file)
         if match is None:
             continue
-        key = tuple(part for part in match.groups() if part)
+        key = tuple(composed(part) for part in match.groups() if part)
         if key in found:
             raise ValueError(f"{root}: {found[key]} and {file} have the same name: remove one of them")
         found[key] = file
@@ -73,7 +73,7 @@ def _listed(root: Path, place: str) -> dict[Key, str]:
             raise ValueError(
                 f"{root / place}, line {number}: expected a time [s] and a file, found {line[:200]!r}"
             )
-        found[(cells[0],)] = cells[1].strip()
+        found[(cells[0],)] = as_on_disk(root, cells[1].strip())
     return found
 
 

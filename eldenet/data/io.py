@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.data.array_files import check_pixels, read_array, read_bytes, read_exr, read_pfm
-from eldenet.data.file_checks import FORMATS, decode_picture, is_heif, picture_size
+from eldenet.data.file_checks import FORMATS, ORIENTATION, decode_picture, is_heif, other_format, picture_size
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", ".heic", ".heif")
-ORIENTATION = 0x112  # EXIF
 
 
 @dataclass(frozen=True)
@@ -232,6 +231,8 @@ def _suggest(raw: np.ndarray) -> str:
 
 def _decode(path: Path, flags: int) -> np.ndarray:
     content = read_bytes(path)
+    if other := other_format(content):
+        raise ValueError(f"{path} is of a format that is not read ({other}): convert it to JPEG or PNG")
     check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
     if check is None and not is_heif(content):
         raise ValueError(f"{path} ({len(content)} bytes) is not a JPEG, PNG, BMP, TIFF or binary PPM/PGM")

@@ -109,7 +109,7 @@ def read_scan(path: Path) -> np.ndarray:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is empty or truncated, or its numbers cannot be points.
+        ValueError: the file is empty or truncated, its numbers cannot be points, or are not four per point.
     """
     content = read_bytes(path)
     if not content or len(content) % 16:
@@ -119,6 +119,14 @@ def read_scan(path: Path) -> np.ndarray:
     points = np.frombuffer(content, "<f4").reshape(-1, 4)
     if not np.isfinite(points).all() or not 1 < np.abs(points[:, :3]).max() <= 1000:
         raise ValueError(f"{path} has coordinates that are not within 1 km: fetch it again")
+    low, high = points[:, 3].min(), points[:, 3].max()
+    if low < 0 or high > 1:
+        others = [str(n) for n in (3, 5, 6) if not len(content) % (4 * n)]
+        may = f"; it may hold {' or '.join(others)} columns" if others else ""
+        raise ValueError(
+            f"{path}: the fourth of each four numbers is {low:g} to {high:g}, KITTI's reflectance is 0 to 1"
+            f"{may}: write x, y, z [m] and reflectance as float32"
+        )
     return points
 
 

@@ -3,13 +3,20 @@
 import csv
 import os
 import re
-from collections.abc import Sequence
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from eldenet.system.errors import reading
+from eldenet.system.errors import reading, warn_once
 from eldenet.system.files import read_text
 
 VARIABLE = "ELDENET_DATA"
+OTHER_PICTURES = (
+    ".heic", ".heif", ".hif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef",
+    ".srw", ".jpe", ".jfif", ".jxl", ".jp2", ".j2k", ".gif", ".pnm", ".pbm", ".tga", ".psd", ".hdr", ".ico",
+)  # fmt: skip
+"""Endings of pictures in formats that nothing here reads, unless a caller's own endings have them."""
 
 
 def default_cache() -> Path:
@@ -23,13 +30,52 @@ def natural_order(name: str) -> tuple[list[str | int], str]:
 
 
 def visible_files(folder: Path, endings: Sequence[str]) -> list[Path]:
-    """Return the files with these endings in a folder and below, but no hidden ones (``._a.jpg``)."""
-    return [
+    """Return the files with these endings in a folder and below, but no hidden ones (``._a.jpg``).
+
+    Pictures in other formats are counted and named in a warning.
+    """
+    shown = [
         path
         for path in folder.rglob("*")
-        if path.suffix.lower() in endings
-        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
     ]
+    return with_endings(shown, endings, folder)
+
+
+def with_endings(paths: Iterable[Path], endings: Sequence[str], folder: Path) -> list[Path]:
+    """Return the paths with these endings; a warning counts and names pictures in other formats."""
+    found, others = [], []
+    for path in paths:
+        ending = path.suffix.lower()
+        if ending in endings:
+            found.append(path)
+        elif ending in OTHER_PICTURES:
+            others.append(path)
+    if others:
+        counts = Counter(path.suffix.lower() for path in others)
+        each = ", ".join(f"{count} {ending}" for ending, count in counts.most_common())
+        warn_once(
+            f"{folder}: {len(others)} pictures are passed over, as their format is not read ({each}; such as "
+            f"{min(others).name}): convert them to JPEG or PNG"
+        )
+    return found
+
+
+def composed(name: str) -> str:
+    """Return a name in Unicode's composed form: macOS writes letters and their accents apart."""
+    return unicodedata.normalize("NFC", name)
+
+
+def as_on_disk(root: Path, file: str) -> str:
+    """Return a path of a list as it is spelled below ``root``, where Unicode has several ways to write it."""
+    if file.isascii() or (root / file).exists():
+        return file
+    place = Path()
+    for part in Path(file).parts:
+        folder = root / place
+        same = [n for n in os.listdir(folder) if composed(n) == composed(part)] if folder.is_dir() else []
+        place /= same[0] if len(same) == 1 else part
+    return place.as_posix()
 
 
 def find_root(root: str | Path | None, default: str | None, must_contain: Sequence[str], tree: str) -> Path:

@@ -20,6 +20,7 @@ from eldenet.data.frame_files import (
 )
 from eldenet.data.frame_lists import read_frame_list
 from eldenet.data.io import IMAGE_ENDINGS
+from eldenet.data.paths import as_on_disk, composed
 from eldenet.system.checks import one_of
 
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
@@ -110,8 +111,9 @@ class Layout:
         listed = read_frame_list(path, allow_outside=self.allow_outside, tolerance=self.tolerance)
         frames = {}
         for frame in listed:
-            name = frame.image.rsplit(".", 1)[0]
-            files = (frame.image, frame.depth, *([frame.confidence] if frame.confidence else []))
+            name = composed(frame.image.rsplit(".", 1)[0])
+            listed_files = (frame.image, frame.depth, *([frame.confidence] if frame.confidence else []))
+            files = tuple(as_on_disk(root, file) for file in listed_files)
             frames[name] = RecordedFrame((Path(name).name,), files, frame.scene, frame.camera)
         if len(frames) != len(listed):
             raise ValueError(f"{path} has {len(listed)} lines but only {len(frames)} different pictures")

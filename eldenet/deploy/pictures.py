@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.data.io import IMAGE_ENDINGS, read_image
+from eldenet.data.paths import with_endings
 from eldenet.data.splits import evenly_spaced
 
 
@@ -23,7 +24,7 @@ def read_pictures(source: str | None, count: int, split: str) -> list[np.ndarray
         return [rooms.load_frame(index).image for index in range(len(rooms))]
     folder = Path(source).expanduser()
     paths = sorted(folder.iterdir() if folder.is_dir() else folder.parent.glob(folder.name))
-    paths = [path for path in paths if path.suffix.lower() in IMAGE_ENDINGS]
+    paths = with_endings(paths, IMAGE_ENDINGS, folder)
     if not paths:
         raise ValueError(
             f"pictures={source} holds no pictures: give a folder, or a pattern such as 'photos/*.jpg'"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldenet.deploy.runtimes.base import Runtime
+from eldenet.deploy.runtimes.base import Runtime, check_depth
 from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
 from eldenet.geometry import (
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 MAX_SIDE = 640
+LEAST_SIDE = 8  # of a frame [px]: smaller ones show nothing
 GRID = 16  # sides of frames are multiples of this [px]
 NO_FOCAL = (
     "this network ignores focal lengths: the camera does not change the depth, whose meters are right for "
@@ -168,8 +169,9 @@ class DepthPredictor:
             fov: horizontal field of view instead [degrees]. Without any of them: the canonical camera.
 
         Raises:
-            ValueError: the frame has another shape or type, its camera is given twice or out of range, or the
-                network's depth is not finite.
+            ValueError: the frame has another shape or type or is smaller than 8 px, its camera is given twice
+                or is that of no lens (:func:`eldenet.geometry.check_intrinsics`), or what the network
+                answers is no depth.
         """
         of_array = isinstance(frame, np.ndarray)
         if (
@@ -182,11 +184,14 @@ class DepthPredictor:
             given = f"{frame.shape} {frame.dtype}" if of_array else type(frame).__name__
             raise ValueError(f"frame is {given}: give the picture, (H, W, 3) uint8 RGB")
         size = (frame.shape[0], frame.shape[1])
+        if min(size) < LEAST_SIDE:
+            raise ValueError(
+                f"frame is {size[0]} x {size[1]} px: give a picture of {LEAST_SIDE} px or more to each side"
+            )
         focal = focal_length(intrinsics, fov, size, focal)
         picture, (depth, *sigma), scale = self._maps(frame)
+        check_depth(depth)
         spread = [each / depth for each in sigma]  # it stays what it is where depth changes
-        if not np.isfinite(depth).all():
-            raise ValueError("the network's depth is not finite: its weights are damaged or diverged")
         if self.steady:
             depth = self._filter_of((size, focal))(picture, depth)
         if focal is not None:
@@ -240,10 +245,12 @@ class DepthPredictor:
 def focal_length(
     intrinsics: "Sequence[float] | np.ndarray | None",
     fov: float | None,
-    size: tuple[int, int],
+    size: tuple[int, int] | None,
     focal: float | None = None,
 ) -> float | None:
     """Return fx [px] of a frame of ``(height, width)`` [px]; None if nothing is given.
+
+    Without a size, it only checks what can be checked without.
 
     Raises:
         ValueError: several are given, or one is out of its range.
@@ -253,17 +260,19 @@ def focal_length(
     if len(names) > 1:
         raise ValueError(f"{' and '.join(names)} are given: give only one of them")
     if fov is not None:
-        return focal_of_fov(fov, size[1])
+        return focal_of_fov(fov, 1 if size is None else size[1])
     if focal is not None:
         fx = as_number(focal)
         if not 0 < fx < math.inf:
             raise ValueError(f"focal={focal!r}: give fx of the frame in pixels, a number above 0")
-        check_focal(fx, size, f"focal={fx:g}")
+        if size is not None:
+            check_focal(fx, size, f"focal={fx:g}")
         return fx
     if intrinsics is None:
         return None
     matrix = intrinsic_matrix(intrinsics)
-    check_intrinsics(matrix, size, inside=False)
+    if size is not None:
+        check_intrinsics(matrix, size, inside=False)
     return float(matrix[0, 0])
 
 

@@ -28,6 +28,7 @@ LONGEST_STILL = 60.0  # [s]: a longer gap between two frames means that recordin
 SLACK = 1.0  # [s] by which a file may end early; Matroska states its length exactly
 MATROSKA_SLACK = 0.1  # [s]
 LARGEST_SIDE = 8190  # of a video that is written [px]: MPEG-4 has 13 bits for it
+MOST_PIXEL_ASPECT = 4  # width of a pixel by its height, or the inverse
 BITS_PER_PIXEL = 4  # of a video that is written: depth's colors stay as they are
 
 
@@ -66,7 +67,9 @@ def _has_two_frames(path: Path) -> bool:
 
 
 class VideoFile:
-    """The frames of a video file, upright, at the times that the file states.
+    """The frames of a video file as players show them, at the times that the file states.
+
+    They are turned, mirrored and widened or narrowed to square pixels as the file says.
 
     Attributes:
         frames_per_second: 30 where the file states no plausible rate.
@@ -83,7 +86,8 @@ class VideoFile:
             self._container = av.open(str(path), metadata_errors="replace")
             self._stream = self._container.streams.video[0]
             size = self._stream.height, self._stream.width
-        check_pixels(size, path)
+        self._width = round(size[1] * _pixel_aspect(self._stream))
+        check_pixels((size[0], max(size[1], self._width)), path)
         self._stream.thread_type = "AUTO"
         rate = float(self._stream.guessed_rate or 0)
         self.frames_per_second = rate if 0 < rate <= 1000 else 30.0  # some state the clock's 90000
@@ -109,8 +113,9 @@ class VideoFile:
                 skipped += max(0.0, time - previous - usual)
                 time = previous + usual
             previous = time
-            picture = frame.to_ndarray(format="rgb24", interpolation="BICUBIC")
-            yield np.ascontiguousarray(np.rot90(picture, frame.rotation // 90)), time
+            width = self._width if frame.width == self._stream.width else frame.width
+            picture = frame.to_ndarray(width=width, format="rgb24", interpolation="BICUBIC")
+            yield np.ascontiguousarray(_upright(picture, frame)), time
 
     def _decoded(self) -> Iterator["av.VideoFrame"]:
         import av
@@ -143,6 +148,25 @@ class VideoFile:
         if frames >= self.announced or not (ends_early or (self._broken and frames < self._stated)):
             return ""
         return f"is truncated or damaged: {frames} of {self.announced} frames could be read"
+
+
+def _pixel_aspect(stream: "av.VideoStream") -> Fraction:
+    """Width of a pixel by its height; 1 where the file states none, or none that a camera has."""
+    aspect = stream.sample_aspect_ratio
+    return aspect if aspect and 1 / MOST_PIXEL_ASPECT <= aspect <= MOST_PIXEL_ASPECT else Fraction(1)
+
+
+def _upright(picture: np.ndarray, frame: "av.VideoFrame") -> np.ndarray:
+    """Turn and mirror a frame ``(H, W, 3)`` as its display matrix says, in whole quarters of a turn."""
+    stated: Any = frame.side_data.get("DISPLAYMATRIX")
+    if stated is None:
+        return picture
+    # a point (x, y) is shown at (a x + c y, b x + d y)
+    a, b, _, c, d = np.frombuffer(bytes(stated), np.int32, 5).astype(np.int64)
+    right, down = a, d
+    if abs(a) + abs(d) < abs(b) + abs(c):
+        picture, right, down = picture.swapaxes(0, 1), c, b
+    return picture[:: -1 if down < 0 else 1, :: -1 if right < 0 else 1]
 
 
 @contextmanager

@@ -1,10 +1,12 @@
 """Errors in one line: of a damaged file, a full or closed disk, and all else that a user meets."""
 
 import errno
+import logging
 import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 
 USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
@@ -56,6 +58,12 @@ def writing(folder: Path, what: str) -> Iterator[None]:
         else:
             raise
         raise DiskError(f"{reason}: {what} was not written; {advice}") from error
+
+
+@lru_cache(maxsize=1000)
+def warn_once(line: str) -> None:
+    """Warn in one line, and say the same line only once."""
+    logging.getLogger("eldenet").warning("%s", line)
 
 
 def first_line(error: BaseException) -> str:

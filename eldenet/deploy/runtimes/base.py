@@ -125,9 +125,10 @@ class Runtime:
         """Return meters as an array for an array, and as a tensor on its device for a tensor.
 
         Raises:
-            ValueError: this network takes images of another shape or type.
+            ValueError: this network takes images of another shape or type, or does not answer with depth.
         """
         depth = self.run(self._checked(images))
+        check_depth(depth)
         if isinstance(images, np.ndarray):
             return depth
         import torch
@@ -138,9 +139,10 @@ class Runtime:
         """Depth and sigma ``(B, 1, H, W)`` in the output's unit; sigma is None if the network predicts none.
 
         Raises:
-            ValueError: this network takes images of another shape or type.
+            ValueError: this network takes images of another shape or type, or does not answer with depth.
         """
         depth, *sigma = self.run_maps(self._checked(images))
+        check_depth(depth)
         return DepthEstimate(depth, sigma[0] if sigma else None, self.distribution)
 
     def _checked(self, images: "np.ndarray | Tensor") -> np.ndarray:
@@ -155,6 +157,26 @@ class Runtime:
                 "such, or export another file"
             )
         return np.ascontiguousarray(given)
+
+
+def check_depth(depth: np.ndarray) -> None:
+    """Refuse what no network answers that predicts depth ``(B, 1, H, W)`` or ``(H, W)`` [m].
+
+    Raises:
+        ValueError: several channels, whole numbers, or depth that is not finite or not above 0.
+    """
+    if (depth.ndim == 4 and depth.shape[1] != 1) or depth.ndim not in (2, 4) or depth.dtype.kind != "f":
+        raise ValueError(
+            f"the network answers with {depth.shape} {depth.dtype}, which is no depth: export one that maps "
+            "images to one float map (B, 1, H, W) of meters"
+        )
+    if not np.isfinite(depth).all():
+        raise ValueError("the network's depth is not finite: its weights are damaged or diverged")
+    if not (depth > 0).all():
+        raise ValueError(
+            f"the network's depth is {depth.min():.3g} to {depth.max():.3g} m, but must be above 0: is it a "
+            "disparity, or a map before its last layer? Export one that answers in meters"
+        )
 
 
 def refuse(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) -> None:
