@@ -88,7 +88,7 @@ def test_torch_hub_offers_every_model_with_a_description(monkeypatch: pytest.Mon
     spec.loader.exec_module(hubconf)
     # torch.hub.list's own rule
     public = [name for name in dir(hubconf) if callable(getattr(hubconf, name)) and not name.startswith("_")]
-    assert sorted(public) == eldenet.list_models()
+    assert sorted(public) == sorted([*eldenet.list_models(), *eldenet.list_weights()])
     assert all(getattr(hubconf, name).__doc__ for name in public)
 
     monkeypatch.setattr(sys, "path", sys.path[:])
@@ -96,5 +96,7 @@ def test_torch_hub_offers_every_model_with_a_description(monkeypatch: pytest.Mon
     model = torch.hub.load(**options, overrides=["model.head.max_depth=4"])
     assert (type(model).__name__, model.head.max_depth, model.training) == ("DepthNet", 4, False)
     assert model(picture(32, 48)).shape == (1, 1, 32, 48)
+    trained = torch.hub.load(str(REPOSITORY), "eldenet_rooms", source="local")
+    assert same_model(trained, eldenet.load("eldenet_rooms"))
     with pytest.raises(TypeError, match="pretrained"):
         torch.hub.load(**options, pretrained=True)

@@ -80,7 +80,10 @@ def test_overrides_replace_parts_and_options() -> None:
     [
         ("eldenett", {}, r"unknown model 'eldenett': did you mean eldenet\? docs/weights"),
         ("eldenet_room", {}, r"did you mean eldenet_rooms\?"),
-        ("qqqqqqqq", {}, "choose trained weights .*vgg16_upconv"),
+        ("eldenet_kitti", {}, r"eldenet_rooms: indoors; there are none for streets\)"),
+        ("eldenet_outdoor", {}, "there are none for streets"),
+        ("runs/mine/checkpoints/best.pt", {}, "give its run folder, which stands for the best epoch"),
+        ("qqqqqqqq", {}, r"choose trained weights .*docs/networks\.md"),
         ("eldenet", {"weights": "kitti"}, r"no weights 'kitti' for eldenet, only eldenet_.*load\('kitti'\)"),
         ("eldenet", {"revision": "v2"}, "apply to saved models"),
         ("eldenet_rooms", {"overrides": ["model.head.max_depth=80"]}, "apply to networks built by name"),

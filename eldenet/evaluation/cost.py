@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.model import eval_mode
-from eldenet.system.timing import median_ms, percentile_ms, time_interleaved
+from eldenet.system.timing import Waiting, median_ms, percentile_ms, time_interleaved
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,8 @@ class CostReport:
         precision: fp32, bf16, ...
         threads: torch's threads.
         device: "cpu" or the accelerator's name.
+        waiting: time on the clock over that of the processors while it was timed; about 1 or less where
+            no other job ran.
     """
 
     params: int
@@ -47,6 +49,7 @@ class CostReport:
     precision: str
     threads: int
     device: str
+    waiting: float = 1.0
 
 
 def count_params(model: nn.Module) -> int:
@@ -104,7 +107,7 @@ def measure_cost(
     one, many = (
         _image(model, number, size).contiguous(memory_format=torch.channels_last) for number in (1, batch)
     )
-    with eval_mode(model), torch.inference_mode():
+    with eval_mode(model), torch.inference_mode(), Waiting() as waiting:
         times = time_interleaved(
             {"one": lambda: model(one), "many": lambda: model(many)},
             rounds=5,
@@ -127,4 +130,5 @@ def measure_cost(
         precision="fp32",
         threads=torch.get_num_threads(),
         device=torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+        waiting=waiting.ratio,
     )

@@ -16,7 +16,9 @@ from eldenet.results.tables import (
     COLUMNS,
     CORE,
     COSTS,
+    MARK,
     cost_line,
+    cost_text,
     heading,
     number,
     protocol_line,
@@ -67,22 +69,25 @@ def report_runs(
     titles, rows = table_of(runs, shown, costs=costs)
     measured = 2 + len(shown)  # model, seeds, metrics; then the costs
     metrics = titles[:measured], [row[:measured] for row in rows]
-    cost_table = (
-        [titles[0], *titles[measured:]],
-        [[row[0], *row[measured:]] for row in rows if set(row[measured:]) - {"-"}],
-    )
+
+    def costs_of(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+        kept = [[row[0], *row[measured:]] for row in rows if set(row[measured:]) - {"-"}]
+        return [titles[0], *titles[measured:]], kept
+
     core = [2 + place for place, name in enumerate(shown) if name in CORE or columns is not None]
-    notes = [protocol_line(runs[0])] + ([cost_line(runs[0])] if costs else [])
+    sure = [[row[0], *("-" if cell.endswith(MARK) else cell for cell in row[1:])] for row in rows]
+    busy = sure != rows
+    notes = [protocol_line(runs[0])] + ([cost_line(runs[0], busy=busy)] if costs else [])
     stem = output.stem if output.suffix in (".md", ".csv", ".tex") else output.name  # "v0.5" has no ending
-    write_rows(output.with_name(f"{stem}.csv"), *to_csv(titles, rows))
+    write_rows(output.with_name(f"{stem}.csv"), *to_csv(titles, sure))
     write_text(output.with_name(f"{stem}.md"), to_markdown(titles, rows, notes))
     latex = [to_latex(*metrics, notes[:1], core if columns is None else None)]
-    latex += [to_latex(*cost_table, notes[1:])] if costs else []
+    latex += [to_latex(*costs_of(sure), notes[1:])] if costs else []
     write_text(output.with_name(f"{stem}.tex"), "\n".join(latex))
     log = RunLog(output.parent)
     log.table(notes[0], *metrics, core)
     if costs:
-        log.table(notes[1], *cost_table)
+        log.table(notes[1], *costs_of(rows))
     log.say(f"written to {output.with_name(stem)}.md, .csv and .tex")
 
 
@@ -103,8 +108,10 @@ class Row:
         values = self.values(group, name)
         if not values:
             return "-"
+        if group == "cost":
+            return cost_text(name, [run[group] for run in self.runs])
         mean = number(name, statistics.fmean(values))
-        if len(values) == 1 or group == "cost":
+        if len(values) == 1:
             return mean
         return f"{mean} ± {number(name, statistics.stdev(values))}"
 
@@ -127,7 +134,10 @@ def find_runs(
             many names as sources.
     """
     if names and len(names) != len(sources):
-        raise ValueError(f"names={list(names)}: give one name for each of the {len(sources)} runs=[...]")
+        raise ValueError(
+            f"names={list(names)}: give one name for each of the {len(sources)} runs=[...]; the folder of a "
+            "sweep is one of them, so name its runs one by one: runs=[sweep/0,sweep/1]"
+        )
     runs: dict[str, dict[str, Any]] = {}
     given: Sequence[str | None] = names or [None] * len(sources)
     for source, name in zip(map(Path, sources), given, strict=True):

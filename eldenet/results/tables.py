@@ -2,6 +2,7 @@
 
 import math
 import re
+import statistics
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
 
 COLUMNS = ("abs_rel", "rmse", "mae", "mse", "delta1", "delta2", "delta3")
 CORE = ("abs_rel", "rmse", "delta1")
+TIMES = ("latency_ms_p50", "throughput_img_s")
+BUSY = 1.5  # by how much times may differ: in two runs, or on the clock and of the processors
+MARK = "(busy)"  # beside times that say nothing; LaTeX and CSV leave them out
+BUSY_NOTE = f"{MARK}: other jobs used the machine, so measure again (eldenet benchmark); not in LaTeX and CSV"
 COSTS = ("params", "gmacs", "gflops", "latency_ms_p50", "throughput_img_s")
 WORDS = {
     "abs_rel": "AbsRel",
@@ -50,6 +55,23 @@ def number(name: str, value: float | None) -> str:
     if name == "throughput_img_s":
         return f"{value:.0f}"
     return f"{value:.3f}"
+
+
+def is_busy(name: str, costs: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether the times ``name`` of one network say nothing, because other jobs had the processors.
+
+    They waited while they were timed, or differ by more than 1.5 times.
+    """
+    if name not in TIMES:
+        return False
+    values = [cost[name] for cost in costs]
+    return max(cost.get("waiting", 1.0) for cost in costs) > BUSY or max(values) > BUSY * min(values)
+
+
+def cost_text(name: str, costs: Sequence[Mapping[str, Any]]) -> str:
+    """The mean cost of one network's runs as a table shows it, with a mark if the machine was busy."""
+    shown = number(name, statistics.fmean(cost[name] for cost in costs))
+    return f"{shown} {MARK}" if is_busy(name, costs) else shown
 
 
 def heading(name: str, run: Mapping[str, Any]) -> str:
@@ -114,13 +136,13 @@ def _scored_part(rules: Mapping[str, Any]) -> str:
     return f"frame {', then '.join(steps)}, {crop}" if steps else crop
 
 
-def cost_line(run: Mapping[str, Any]) -> str:
-    """One line on what the costs were measured on."""
+def cost_line(run: Mapping[str, Any], *, busy: bool = False) -> str:
+    """One line on what the costs were measured on, with ``busy`` that some say nothing."""
     cost = run["cost"]
     return (
         f"costs: {cost['runtime']}, {cost['precision']}, {cost['threads']} threads, {cost['device']} "
         f"({run['hardware']['processor']}), input {cost['height']} x {cost['width']}, latency at batch 1 "
-        f"(median), throughput at batch {cost['batch']}; 1 MAC = 2 FLOPs"
+        f"(median), throughput at batch {cost['batch']}; 1 MAC = 2 FLOPs" + (f"; {BUSY_NOTE}" if busy else "")
     )
 
 
@@ -159,9 +181,9 @@ def closing_table(log: "RunLog", run: Mapping[str, Any]) -> None:
         columns = ["class", *(heading(metric, run) for metric in CLASS_METRICS), "pixels"]
         log.table("errors by class, all of its pixels pooled", columns, rows)
     log.table(
-        cost_line(run),
+        cost_line(run, busy=any(is_busy(name, [run["cost"]]) for name in TIMES)),
         [heading(name, run) for name in COSTS],
-        [[number(name, run["cost"][name]) for name in COSTS]],
+        [[cost_text(name, [run["cost"]]) for name in COSTS]],
     )
     weights = ", model/ ..." if (log.folder / "model").is_dir() else ""  # an evaluation writes none
     log.say(f"written to {displayed(log.folder)}: {RUN_FILE}, per_image.csv, predictions.png{weights}")

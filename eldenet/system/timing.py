@@ -3,6 +3,7 @@
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import Self
 
 import numpy as np
 
@@ -42,6 +43,23 @@ def time_interleaved(
                 times[name].append(time.perf_counter() - start)
                 done += 1
     return times
+
+
+class Waiting:
+    """``with Waiting() as waiting``: how much longer a block took than processors worked for it.
+
+    Attributes:
+        ratio: time on the clock over that of the processors; about 1 or less where no other job ran.
+    """
+
+    ratio = 1.0
+
+    def __enter__(self) -> Self:
+        self._clock, self._worked = time.perf_counter(), time.process_time()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.ratio = (time.perf_counter() - self._clock) / max(time.process_time() - self._worked, 1e-9)
 
 
 def median_ms(times: Sequence[float]) -> float:

@@ -75,6 +75,11 @@ def find_checkpoint(name: str | Path, setting: str = "source", *, trained: bool 
                 f"{', '.join(list_weights())}, a run folder (./{source}), a saved model or a Hub id"
             )
         return Checkpoint("network", Path(source))
+    if path.suffix in (".pt", ".pth"):
+        raise ValueError(
+            f"{setting}={source} is the state of a training: give its run folder, which stands for the best "
+            "epoch"
+        )
     if path.suffix in EXPORTED:
         if not path.is_file():
             raise FileNotFoundError(f"{setting}={source} does not exist: eldenet export writes such files")
@@ -82,14 +87,14 @@ def find_checkpoint(name: str | Path, setting: str = "source", *, trained: bool 
     if path.exists():
         return Checkpoint("saved", path)
     if "/" not in source:
-        near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1)
+        near = difflib.get_close_matches(source, [*list_weights(), *list_models()], 1, 0.85)
         raise ValueError(
             f"unknown model {source!r}: "
             + (
                 f"did you mean {near[0]}? docs/weights.md and docs/networks.md list all names"
                 if near
-                else f"choose trained weights ({', '.join(list_weights())}), a network that is not trained "
-                f"({', '.join(list_models())}), a folder or a Hub id 'owner/name'"
+                else f"choose trained weights ({', '.join(list_weights())}: indoors; there are none for "
+                "streets), a network to train (docs/networks.md), a folder or a Hub id 'owner/name'"
             )
         )
     if source.startswith(("/", "./", "../", "~")) or source.count("/") != 1 or path.parent.is_dir():

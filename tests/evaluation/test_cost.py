@@ -1,5 +1,6 @@
 """Costs: multiply-adds of layers worked out by hand; a report says what it was measured on."""
 
+import time
 from dataclasses import asdict
 
 import pytest
@@ -7,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.evaluation.cost import CostReport, count_macs, measure_cost
+from eldenet.system.timing import Waiting
 
 
 class Flat(nn.Module):
@@ -64,3 +66,9 @@ def test_report_says_what_it_was_measured_on() -> None:
     assert report.throughput_img_s > 0
     assert report.peak_memory_mb > 10
     assert CostReport(**asdict(report)) == report
+
+
+def test_time_without_work_is_waiting() -> None:
+    with Waiting() as waiting:
+        time.sleep(0.05)
+    assert waiting.ratio > 3

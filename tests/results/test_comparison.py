@@ -11,7 +11,7 @@ import pytest
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.results.comparison import find_runs, group_rows, table_of
+from eldenet.results.comparison import find_runs, group_rows, report_runs, table_of
 from eldenet.results.run_log import RunLog
 from eldenet.results.tables import protocol_line, to_csv, to_latex, to_markdown
 from eldenet.studies.report import write_study_report
@@ -142,6 +142,25 @@ def test_a_missing_value_is_shown_as_missing():
     assert [row[3] for row in rows] == ["-", "-"]
     with pytest.raises(ValueError, match=r"columns=\['absrel'\]"):
         table_of([RUN], ("absrel",))
+
+
+@pytest.mark.parametrize(
+    "runs",
+    [[run_with(cost__waiting=2.1)], [run_with(), run_with(seed=1, cost__latency_ms_p50=4.8)]],
+    ids=["other jobs had the processor", "two runs differ"],
+)
+def test_times_of_a_busy_machine_are_marked_and_stay_out_of_latex(runs, tmp_path):
+    runs.append(run_with(model="calm", cost__waiting=1.1))
+    for number, run in enumerate(runs):
+        store(tmp_path / str(number), run)
+    report_runs([str(tmp_path)], tmp_path / "t", columns=["delta1"])
+    (shown,) = re.findall(r"^\| eldenet \|.*?\| ([\d.]+ \(busy\)) \|", (tmp_path / "t.md").read_text(), re.M)
+    assert shown == f"{sum(run['cost']['latency_ms_p50'] for run in runs[:-1]) / (len(runs) - 1):.2f} (busy)"
+    for name in ("t.tex", "t.csv"):
+        lines = [line for line in (tmp_path / name).read_text().splitlines() if line[:1] not in "%{"]
+        assert "busy" not in "".join(lines), name
+        assert sum("3.14" in line for line in lines) == 1, name  # that of the other network
+    assert "(busy): other jobs used the machine" in (tmp_path / "t.md").read_text()
 
 
 def test_a_printed_table_keeps_its_units_and_its_words(capsys, tmp_path):

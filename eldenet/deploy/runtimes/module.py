@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.deploy.runtimes.base import Runtime
-from eldenet.evaluation.cost import CostReport, median_ms, peak_memory_mb, percentile_ms, time_interleaved
+from eldenet.evaluation.cost import CostReport, peak_memory_mb
+from eldenet.system.timing import Waiting, median_ms, percentile_ms, time_interleaved
 from eldenet.uncertainty import NO_SIGMA
 
 
@@ -62,7 +63,7 @@ def measure_runtime_cost(network: Runtime, size: tuple[int, int]) -> CostReport:
     for name, number in (("one", one), ("many", batch)):
         images = network.prepared(np.random.default_rng(0).random((number, 3, *size), np.float32))
         calls[name] = lambda images=images: network.run_prepared(images)
-    with torch.inference_mode():
+    with torch.inference_mode(), Waiting() as waiting:
         times = time_interleaved(calls, synchronize=network.synchronize)
     gmacs = math.nan if network.gmacs is None else network.gmacs
     of_one = times["one"] if one == 1 else [math.nan]
@@ -81,4 +82,5 @@ def measure_runtime_cost(network: Runtime, size: tuple[int, int]) -> CostReport:
         precision=network.precision,
         threads=network.threads,
         device=network.device,
+        waiting=waiting.ratio,
     )
