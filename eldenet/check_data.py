@@ -1,9 +1,11 @@
 """``python -m eldenet.check_data``: is the data set complete, and does it hold what its config says?
 
+python -m eldenet.check_data my_frames                 (what is this folder, and which settings read it?)
 python -m eldenet.check_data data=folder data.root=my_frames
 python -m eldenet.check_data data=nyu_labelled frames=100
 """
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +30,7 @@ class CheckDataSettings:
     data: dict[str, Any] = REQUIRED
     # null: the data set's own; val and test must have its kind of ground truth
     protocol: dict[str, Any] | None = None
+    folder: str | None = None  # only say what this folder seems to be, and which settings read it
     frames: int | None = None  # number of frames to read from each split, evenly spread; null: all
     samples: int = 4  # frames of each split on the contact sheet
     # folder for check.json and contact_sheet.png; overwritten by the next check
@@ -72,6 +75,35 @@ def check_data(s: CheckDataSettings) -> bool:
         write_picture(folder / SHEET, contact_sheet(found.panels, s.samples))
     _show(log, s.data, same, found)
     return not found.faults
+
+
+def recognize_folder(folder: Path) -> bool:
+    """Say what a folder seems to be, and print the settings that read it; True if there are some.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+    """
+    from eldenet.data.known_layouts import tree_lines
+    from eldenet.data.recognition import recognize
+    from eldenet.results.run_log import RunLog
+
+    log, recognized = RunLog(folder), recognize(folder)
+    for found in recognized:
+        log.say(f"{folder} seems to be {found.title}")
+        for fact in found.facts:
+            log.say(f"  {fact}")
+        if len(found.readings) > 1:
+            log.say("  one of these reads it; a distance that you know decides:")
+        for reading in found.readings:
+            log.say(f"  {reading.note}:" if reading.note else "  read by:")
+            log.say(f"    {reading.line}")
+    if not recognized:
+        log.say(
+            f"{folder} holds no pictures with depth in a layout that is known. Known are, from data.root:"
+        )
+        for line in tree_lines():
+            log.say(f"  {line}")
+    return any(found.readings for found in recognized)
 
 
 def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found: "DataCheck") -> None:
@@ -140,10 +172,18 @@ def _bars(counts: list[int]) -> str:
 
 
 @entry_point(CheckDataSettings)
-def main(s: CheckDataSettings) -> None:
+def check(s: CheckDataSettings) -> None:
     """Exit with code 1 if anything is wrong."""
-    if not check_data(s):
+    good = check_data(s) if s.folder is None else recognize_folder(Path(s.folder).expanduser())
+    if not good:
         raise SystemExit(1)
+
+
+def main() -> None:
+    """Take a folder without a setting's name as ``folder=``."""
+    if len(sys.argv) > 1 and "=" not in sys.argv[1] and not sys.argv[1].startswith("-"):
+        sys.argv[1] = f"folder={sys.argv[1]}"
+    check()
 
 
 if __name__ == "__main__":

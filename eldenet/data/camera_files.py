@@ -132,6 +132,8 @@ def _matrix(stored: Any, source: object) -> np.ndarray:
             values = values.reshape(3, 3)
             if not values[:2, 2].any():  # the principal point stands in the last row
                 values = values.T
+            if values[2].tolist() != [0, 0, 1]:  # such as that of a pose
+                raise ValueError
         return intrinsic_matrix(values)
     except (TypeError, ValueError):
         raise ValueError(

@@ -1,0 +1,409 @@
+"""What a folder seems to be, and the settings that read it; all of them where several are possible."""
+
+import math
+import re
+import shlex
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eldenet.data.camera_files import CAMERA_ENDINGS, Camera, read_camera
+from eldenet.data.folder import FolderDataset
+from eldenet.data.frame_files import Key, find_frame_files, other_ways, partners
+from eldenet.data.frame_lists import read_frame_list, stated_scale
+from eldenet.data.io import ENCODINGS, IMAGE_ENDINGS, is_turned, read_image, read_raw_depth
+from eldenet.data.known_layouts import KNOWN_LAYOUTS
+from eldenet.data.recordings import DEPTH_ENDINGS, Layout, RecordedFrame
+from eldenet.data.splits import evenly_spaced
+from eldenet.geometry import same_aspect, size_of_aspect
+
+MOST_FILES = 200_000  # below a folder that are looked at
+MOST_CAMERAS = 20  # files beside the frames that are read as a camera
+SAMPLES = 8  # depth maps whose numbers are looked at
+PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
+INPUT_SIZE, MAX_DEPTH = (240, 320), 10.0  # of data=folder
+TOLERANCE = 0.02  # of data=folder [s]
+_DIGITS = re.compile(r"\d+(?:\.\d+)?")
+_MANY = 2  # files that make a series
+
+
+class Reading(NamedTuple):
+    """One way to read a folder.
+
+    Attributes:
+        note: what it would mean, such as the median depth in a unit.
+        settings: of the command line: ``data=folder``, ``data.images=rgb`` ...
+    """
+
+    note: str
+    settings: tuple[str, ...]
+
+    @property
+    def line(self) -> str:
+        """The settings as a shell takes them."""
+        return " ".join(shlex.quote(word) for word in self.settings)
+
+
+@dataclass
+class Recognized:
+    """What a folder may be.
+
+    Attributes:
+        title: what it seems to be.
+        facts: files, sizes, numbers, lens and pairs, one line each.
+        readings: the ways to read it; several where its files allow several.
+    """
+
+    title: str
+    facts: list[str] = field(default_factory=list)
+    readings: list[Reading] = field(default_factory=list)
+
+
+class _Series(NamedTuple):
+    """Files of one kind: the folder or pattern that finds them."""
+
+    place: str
+    kind: str  # picture, depth, confidence or camera
+    first: str
+
+
+def recognize(folder: Path) -> list[Recognized]:
+    """Return what a folder may be; nothing if it is unknown.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is not a folder: give the folder of your recordings")
+    known = [
+        Recognized(
+            layout.title,
+            readings=[Reading("", tuple(word.format(root=folder) for word in layout.settings))],
+        )
+        for layout in KNOWN_LAYOUTS
+        if layout.fits(folder)
+    ]
+    return known or _recordings(folder)
+
+
+def _recordings(folder: Path) -> list[Recognized]:
+    files = _visible(folder)
+    series = _series(folder, files)
+    candidates = list(_lists(folder, files)) or list(_pairs(folder, series))
+    found: dict[frozenset[tuple[str, ...]], Recognized] = {}
+    for title, settings in candidates:
+        layout = Layout(**settings, tolerance=TOLERANCE)
+        frames = list(layout.frames(folder, strict=False).values())
+        pairs = frozenset(frame.files for frame in frames)
+        if pairs not in found:  # by time and by order may be the same
+            found[pairs] = _describe(folder, title, settings, frames, series, files)
+    return list(found.values())
+
+
+def _visible(folder: Path) -> list[str]:
+    """Files below a folder, without hidden ones."""
+    found = []
+    for path in folder.rglob("*"):
+        parts = path.relative_to(folder).parts
+        if path.is_file() and not any(part.startswith(".") for part in parts):
+            found.append("/".join(parts))
+            if len(found) == MOST_FILES:
+                break
+    return sorted(found)
+
+
+def _lists(folder: Path, files: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Lists of frames at the top of the folder, with the settings that read them."""
+    for file in files:
+        if "/" in file or Path(file).suffix not in (".json", ".txt", ".csv"):
+            continue
+        try:
+            frames = read_frame_list(folder / file, allow_outside=False, tolerance=math.inf)
+        except (ValueError, OSError):
+            continue
+        if all((folder / name).is_file() for name in (frames[0].image, frames[0].depth)):
+            yield f"a list of frames ({file})", {"csv": file}
+    listed = {}
+    for file in (name for name in files if "/" not in name and name.endswith(".txt")):
+        try:
+            entries = find_frame_files(folder, file, ())
+        except (ValueError, OSError):
+            continue
+        first = next(iter(entries.values()), "")
+        if (folder / first).is_file() and (kind := _kind(folder, first)):
+            listed[kind] = file
+    if "picture" in listed and "depth" in listed:
+        settings = {"images": listed["picture"], "depths": listed["depth"]}
+        yield "lists of times and files, as TUM's", settings
+
+
+def _series(folder: Path, files: Sequence[str]) -> list[_Series]:
+    """Group files by folder and by name without numbers; scenes of one structure become one series."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for file in files:
+        parent, _, name = file.rpartition("/")
+        if Path(name).suffix.lower() in {*IMAGE_ENDINGS, *DEPTH_ENDINGS, *CAMERA_ENDINGS}:
+            groups.setdefault((parent, _DIGITS.sub("*", name)), []).append(file)
+    single = Counter(parent for (parent, _), members in groups.items() if len(members) == 1)
+    merged: dict[tuple[str, str], list[str]] = {}
+    for (parent, template), members in groups.items():
+        if single[parent] >= _MANY and len(members) == 1:  # names without numbers: a.jpg, b.jpg
+            template = f"*{Path(template).suffix}"
+        merged.setdefault((parent, template), []).extend(members)
+    kinds = {group: _kind(folder, members[len(members) // 2]) for group, members in merged.items()}
+    found: dict[tuple[str, str], list[str]] = {}
+    for (parent, template), members in merged.items():
+        kind = kinds[parent, template]
+        if kind:
+            found.setdefault((_place(parent, template, merged, kinds), kind), []).extend(members)
+    return [_Series(place, kind, m[0]) for (place, kind), m in found.items() if len(m) >= _MANY]
+
+
+def _place(
+    parent: str,
+    template: str,
+    groups: Mapping[tuple[str, str], Sequence[str]],
+    kinds: Mapping[tuple[str, str], str],
+) -> str:
+    """The setting that finds a group of files: their folder where it holds nothing else, else a pattern."""
+    kind = kinds[parent, template]
+    alone = parent and all(kinds[group] == kind for group in groups if group[0] == parent)
+    parts = parent.split("/")
+    for place in range(len(parts)):
+        others = {
+            one
+            for one, name in groups
+            if kinds[one, name] == kind
+            and len(one.split("/")) == len(parts)
+            and all(a == b or i == place for i, (a, b) in enumerate(zip(one.split("/"), parts, strict=True)))
+        }
+        is_last = place == len(parts) - 1
+        if len(others) >= _MANY and (not is_last or not alone):  # rgb and depth are no scenes
+            parts[place] = "*"
+            break
+    parent = "/".join(parts)
+    return parent if alone else f"{parent}/{template}".lstrip("/")
+
+
+def _kind(folder: Path, file: str) -> str:
+    """What a file holds: picture, depth, confidence, camera, or "" for anything else."""
+    path, ending = folder / file, Path(file).suffix.lower()
+    if ending in CAMERA_ENDINGS:
+        return "camera" if _is_camera(path) else ""
+    if ending in IMAGE_ENDINGS and ending not in DEPTH_ENDINGS:
+        return "picture"
+    try:
+        raw = read_raw_depth(path)
+    except (ValueError, OSError):
+        try:
+            read_image(path)
+        except (ValueError, OSError):
+            return ""
+        return "" if "depth" in file.lower() else "picture"  # in color, depth is drawn, not stored
+    if raw.dtype != np.uint8:
+        return "depth"
+    if "conf" in file.lower() or raw.max(initial=0) <= 2:
+        return "confidence"
+    return "depth" if "depth" in file.lower() else "picture"
+
+
+def _is_camera(path: Path) -> bool:
+    try:
+        camera = read_camera(path)
+    except (ValueError, OSError):
+        return False
+    return bool(camera.matrix[0, 0] > 10 and camera.matrix[1, 1] > 10 and (camera.matrix[:2, 2] > 0).all())
+
+
+def _pairs(folder: Path, series: Sequence[_Series]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Series of pictures and of depth maps that fit together, with the settings that pair them."""
+    ways = {}
+    for pictures, maps in product(_of("picture", series), _of("depth", series)):
+        ones, others = _keys(folder, pictures), _keys(folder, maps)
+        found = other_ways(ones, others, TOLERANCE)
+        least = min(len(ones), len(others)) / 2
+        ways[pictures.place, maps.place] = {by: n for by, n in found.items() if n >= least}
+    by_name = {places for places, found in ways.items() if "name" in found}
+    for (images, depths), found in ways.items():
+        taken = any(images == one or depths == other for one, other in by_name)
+        chosen = ["name"] if "name" in found else [] if taken else list(found)
+        for by in chosen:
+            how = {} if by == "name" else {"pair_by": by}
+            yield f"pictures and depth maps, paired by {by}", {"images": images, "depths": depths, **how}
+
+
+def _of(kind: str, series: Sequence[_Series]) -> list[_Series]:
+    return [one for one in series if one.kind == kind]
+
+
+def _keys(folder: Path, series: _Series) -> list[Key]:
+    endings = {"picture": IMAGE_ENDINGS, "camera": CAMERA_ENDINGS}.get(series.kind, DEPTH_ENDINGS)
+    return list(find_frame_files(folder, series.place, endings))
+
+
+def _describe(
+    folder: Path,
+    title: str,
+    settings: Mapping[str, Any],
+    frames: Sequence[RecordedFrame],
+    series: Sequence[_Series],
+    files: Sequence[str],
+) -> Recognized:
+    """Look at a recording through its own reader, and work out the remaining settings."""
+    settings = {"data": "folder", "root": str(folder), **settings}
+    found = Recognized(f"a recording: {title}")
+    whole = [frame for frame in frames if all((folder / file).is_file() for file in frame.files)]
+    lost = len(frames) - len(whole) if "csv" in settings else 0
+    found.facts.append(f"{len(whole)} frames" + f"; files of {lost} others are missing" * bool(lost))
+    found.facts += _unpaired(folder, settings, whole)
+    if not whole:
+        return found
+    settings |= _confidence(folder, whole, series, found.facts)
+    stored = next((frame.camera for frame in whole if isinstance(frame.camera, Camera)), None)
+    if stored is not None:
+        found.facts.append(f"lens: in the list (fx {stored.matrix[0, 0]:.1f}, cx {stored.matrix[0, 2]:.1f})")
+    else:
+        settings |= _lens(folder, whole, series, files, found.facts)
+    looked_at: list[tuple[Path, tuple[int, int], np.ndarray]] = []
+    faults = []
+    for index in evenly_spaced(len(whole), SAMPLES):
+        try:
+            picture, depth = (folder / file for file in whole[index].files[:2])
+            image, raw = read_image(picture), read_raw_depth(depth)
+        except (ValueError, OSError) as error:
+            faults.append(str(error))
+        else:
+            looked_at.append((picture, (image.shape[0], image.shape[1]), raw))
+    found.facts += faults[:1]
+    if not looked_at:
+        return found
+    picture, size, raw = looked_at[0]
+    raws = [raw for *_, raw in looked_at]
+    sizes = f"{size[1]}x{size[0]}, depth maps {raw.shape[1]}x{raw.shape[0]} {raw.dtype}"
+    if len({(size, raw.shape) for _, size, raw in looked_at}) > 1:
+        sizes += ", others differ"
+    found.facts.insert(1, f"pictures {sizes} (width x height)")
+    turns: list[dict[str, Any]] = [{}]
+    if not same_aspect(size, raw.shape) and same_aspect(size[::-1], raw.shape):
+        if is_turned(picture):
+            size = size[::-1]  # the reader turns the picture upright
+        else:
+            turns = [{"rotate_depth": 90}, {"rotate_depth": 270}]
+            found.facts.append("depth is turned by 90 degrees; which way, the contact sheet shows")
+    if not same_aspect(size, INPUT_SIZE):
+        height, width = size_of_aspect(INPUT_SIZE, (size[0], size[1]))
+        settings["input_size"] = f"[{32 * round(height / 32)},{32 * round(width / 32)}]"
+    stated = stated_scale(folder / settings["csv"]) if "csv" in settings else None
+    for (note, unit), turn in product(_units(raws, stated), turns):
+        chosen = settings | unit | turn
+        words = [
+            f"{'' if key == 'data' else 'data.'}{key}={_written(value)}" for key, value in chosen.items()
+        ]
+        found.readings.append(Reading(note, tuple(words)))
+    found.facts += _refusal(folder, chosen)
+    return found
+
+
+def _refusal(folder: Path, settings: Mapping[str, Any]) -> list[str]:
+    """What the reader says against the settings at the first frame; nothing if it reads it."""
+    given = {key: value for key, value in settings.items() if key not in ("data", "root", "input_size")}
+    try:
+        FolderDataset(folder, on_error="skip", **{"max_depth": MAX_DEPTH, **given}).load_frame(0)
+    except (ValueError, OSError) as error:
+        return [f"not read so yet: {error}"]
+    return []
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {entry}" for key, entry in value.items()) + "}"
+    return str(value)
+
+
+def _unpaired(folder: Path, settings: Mapping[str, Any], frames: Sequence[RecordedFrame]) -> list[str]:
+    """A line each on the pictures and depth maps that have no partner."""
+    lines = []
+    for place, (setting, kind) in enumerate((("images", "pictures"), ("depths", "depth maps"))):
+        if setting in settings:
+            used = {frame.files[place] for frame in frames}
+            endings = (IMAGE_ENDINGS, DEPTH_ENDINGS)[place]
+            alone = sorted(set(find_frame_files(folder, settings[setting], endings).values()) - used)
+            if alone:
+                lines.append(f"{len(alone)} {kind} have no partner, such as {alone[0]}")
+    return lines
+
+
+def _confidence(
+    folder: Path, frames: Sequence[RecordedFrame], series: Sequence[_Series], facts: list[str]
+) -> dict[str, Any]:
+    depths = {Path(frame.files[1]).stem for frame in frames} | {frame.key[-1] for frame in frames}
+    places = [one for one in _of("confidence", series) if {key[-1] for key in _keys(folder, one)} & depths]
+    if len(places) > 1:
+        facts.append(f"confidence maps in {', '.join(one.place for one in places)}: add data.confidence=")
+    if len(places) != 1:
+        return {}
+    values = np.unique(read_raw_depth(folder / places[0].first))
+    facts.append(f"confidence maps in {places[0].place}, {values.min()} to {values.max()}")
+    return {"confidence": places[0].place}
+
+
+def _lens(
+    folder: Path,
+    frames: Sequence[RecordedFrame],
+    series: Sequence[_Series],
+    files: Sequence[str],
+    facts: list[str],
+) -> dict[str, Any]:
+    """The one file, or series of files, that hold the intrinsics; several are named, and none is chosen."""
+    keys = [frame.key for frame in frames]
+    several = _of("camera", series)
+    places = [one.place for one in several if len(partners(keys, _keys(folder, one), "name", 0)) == len(keys)]
+    if not places:
+        beside = [file for file in files if file.count("/") <= 1 and Path(file).suffix in CAMERA_ENDINGS]
+        places = [file for file in beside[:MOST_CAMERAS] if _is_camera(folder / file)]
+    described = []
+    for place in places:
+        first = next(one.first for one in several if one.place == place) if place not in files else place
+        matrix = read_camera(folder / first).matrix
+        described.append(f"{place} (fx {matrix[0, 0]:.1f}, cx {matrix[0, 2]:.1f})")
+    if not places:
+        facts.append("lens: not found; give data.intrinsics=[fx,fy,cx,cy] if you know it")
+        return {}
+    facts.append(
+        "lens: " + ", ".join(described) + ("" if len(places) == 1 else "; add one as data.intrinsics=")
+    )
+    return {"intrinsics": places[0]} if len(places) == 1 else {}
+
+
+def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, dict[str, Any]]]:
+    """The encodings in which the median depth is plausible, with the median as a note."""
+    values = np.concatenate([raw[np.isfinite(raw) & (raw > 0)].ravel() for raw in raws])
+    if not values.size:
+        return [("no depth above 0 in the files looked at", {})]
+    kind = "float" if values.dtype.kind == "f" else str(values.dtype)
+    given: dict[str, Any] = {"scale": stated or 0.001, "dtype": kind}
+    rows: list[tuple[Any, float]] = [(given, given["scale"])]
+    if stated is None or np.isclose(stated, 0.001):
+        named = [
+            row for row in ENCODINGS.values() if row.dtype == kind and row.decode is None and not row.offset
+        ]
+        rows = [(row.name, row.scale) for row in named if stated is None or np.isclose(row.scale, stated)]
+        if kind in ("float", "int32"):
+            rows.append((given, 0.001))
+    found: list[tuple[str, dict[str, Any]]] = []
+    for encoding, scale in rows:
+        median, farthest = (float(np.percentile(values, q)) * scale for q in (50, 99))
+        if PLAUSIBLE[0] <= median <= PLAUSIBLE[1]:
+            setting = {} if encoding == "mm" else {"encoding": encoding}
+            most = {"max_depth": math.ceil(farthest)} if farthest > MAX_DEPTH else {}
+            found.append(
+                (f"half of all depth nearer than {median:.3g} m, as {_written(encoding)}", setting | most)
+            )
+    if not found:
+        found.append((f"half of the numbers below {np.median(values):g}: in no known unit a depth", {}))
+    return found

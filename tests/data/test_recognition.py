@@ -1,0 +1,148 @@
+"""``eldenet check-data FOLDER``: what a folder seems to be, and the settings that read it."""
+
+import shlex
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support import layouts, recordings
+from support.recordings import COUNT, RECORDERS, SIZE
+
+from eldenet.check_data import CheckDataSettings, recognize_folder
+from eldenet.compose import compose
+from eldenet.configurable import instantiate
+from eldenet.data.known_layouts import KNOWN_LAYOUTS
+from eldenet.data.recognition import recognize
+
+KNOWN = {
+    "nyu_mat": layouts.mat,
+    "nyu_hdf5": layouts.hdf5,
+    "nyu_densedepth": layouts.densedepth,
+    "nyu_labelled": layouts.labeled,
+    "nyu_sync": layouts.sync,
+    "kitti_raw": layouts.kitti_raw,
+    "kitti": layouts.kitti_depth,
+    "kitti_selection": layouts.kitti_selection,
+    "cityscapes": layouts.cityscapes,
+    "cityscapes_mtan": layouts.cityscapes_mtan,
+}
+
+
+def frames_of(line: str) -> dict[str, tuple[float, float]]:
+    """Median depth [m] and brightness of all frames that a printed line reads, by name."""
+    data = compose(CheckDataSettings, shlex.split(line)).data
+    frames = instantiate(data["train"], "data.train", split="all")
+    loaded = map(frames.load_frame, range(len(frames)))
+    return {f.name: (float(np.median(f.depth[f.depth > 0])), float(f.image.mean())) for f in loaded}
+
+
+@pytest.mark.parametrize("size", [SIZE, (24, 32), (15, 20)], ids=str)
+@pytest.mark.parametrize("name", RECORDERS)
+def test_a_printed_line_reads_the_recording(name: str, size: tuple[int, int], tmp_path: Path) -> None:
+    """One of them, with every frame right; the lines differ in the unit alone."""
+    recorder = RECORDERS[name]
+    recorder.write(tmp_path, size)
+    (found,) = recognize(tmp_path)
+    assert not [fact for fact in found.facts if "not read" in fact]
+    assert (
+        any(fact.startswith("lens: ") and "not found" not in fact for fact in found.facts)
+        == recorder.has_camera
+    )
+    right = []
+    for reading in found.readings:
+        frames = frames_of(reading.line)
+        assert len(frames) == COUNT - (name == "clock")
+        right.append(
+            all(abs(depth - recordings.meters(round(gray / 20))) < 0.01 for depth, gray in frames.values())
+        )
+    assert right.count(True) == 1
+    settings = dict(word.partition("=")[::2] for word in found.readings[right.index(True)].settings)
+    given = dict(word.partition("=")[::2] for word in recorder.settings)
+    assert ("data.confidence" in settings) == ("confidence" in given)
+    assert settings.get("data.pair_by") == given.get("pair_by")
+
+
+@pytest.mark.parametrize("data", KNOWN)
+def test_data_sets_are_known(data: str, tmp_path: Path) -> None:
+    KNOWN[data](tmp_path)
+    words = [reading.settings[0] for found in recognize(tmp_path) for reading in found.readings]
+    assert f"data={data}" in words
+    assert {word.removeprefix("data=").partition("_")[0] for word in words} == {data.partition("_")[0]}
+
+
+def test_every_tree_of_a_data_set_has_a_line_that_is_read(tmp_path: Path) -> None:
+    for layout in KNOWN_LAYOUTS:
+        if layout.settings[0].startswith("data="):
+            compose(CheckDataSettings, [word.format(root=tmp_path) for word in layout.settings])
+
+
+def test_turned_depth_has_two_readings(tmp_path: Path) -> None:
+    for i in range(3):
+        recordings.picture(tmp_path / f"rgb/{i}.png", i)
+        recordings.depth(tmp_path / f"depth/{i}.png", 4, (32, 24))
+    (found,) = recognize(tmp_path)
+    assert "depth is turned by 90 degrees; which way, the contact sheet shows" in found.facts
+    turns = [word for reading in found.readings for word in reading.settings if "rotate" in word]
+    assert set(turns) == {"data.rotate_depth=90", "data.rotate_depth=270"}
+    assert turns.count("data.rotate_depth=90") == turns.count("data.rotate_depth=270")
+
+
+def test_two_ways_to_pair_are_both_named(tmp_path: Path) -> None:
+    """By time the first picture has no depth; equal numbers of files allow an order, too."""
+    for i in range(5):
+        recordings.picture(tmp_path / f"rgb/{100 + i / 10:.3f}.png", i)
+        recordings.depth(tmp_path / f"depth/{100 + (i + 1) / 10 + 0.004:.3f}.png", i, SIZE)
+    by = [found.title.rpartition(" ")[2] for found in recognize(tmp_path)]
+    assert by == ["time", "order"]
+
+
+def test_what_is_missing_and_what_is_refused_is_said(tmp_path: Path) -> None:
+    RECORDERS["open3d"].write(tmp_path, SIZE)
+    (tmp_path / "depth/00002.png").unlink()
+    (tmp_path / "color/00004.jpg").unlink()
+    (tmp_path / "camera_intrinsic.json").rename(tmp_path / "left.json")
+    recordings.text(tmp_path / "right.json", (tmp_path / "left.json").read_text())
+    (found,) = recognize(tmp_path)
+    facts = "\n".join(found.facts)
+    assert "1 pictures have no partner, such as color/00002.jpg" in facts
+    assert "1 depth maps have no partner, such as depth/00004.png" in facts
+    assert "left.json (fx 60.0, cx 31.0), right.json (fx 60.0, cx 31.0); add one as data.intrinsics=" in facts
+    assert not any("intrinsics" in word for reading in found.readings for word in reading.settings)
+
+
+def test_far_depth_and_another_aspect_are_in_the_line(tmp_path: Path) -> None:
+    for i in range(3):
+        for folder, picture in (
+            ("a", np.zeros((36, 64, 3), np.uint8)),
+            ("b", np.full((36, 64), 20_000, np.uint16)),
+        ):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / folder / f"{i}.png"), picture)
+    (found,) = recognize(tmp_path)
+    assert found.readings[0].line.endswith("'data.input_size=[192,384]' data.max_depth=20")
+
+
+def test_the_command_takes_a_folder_alone(tmp_path: Path, run_command) -> None:
+    RECORDERS["stray_scanner"].write(tmp_path / "my scan", (24, 32))
+    done = run_command("check_data", "my scan")
+    assert done.returncode == 0
+    line = next(line for line in done.stdout.splitlines() if "data=folder" in line and "encoding" not in line)
+    assert run_command("check_data", *shlex.split(line), "output=out").returncode == 0
+    (tmp_path / "empty").mkdir()
+    done = run_command("check_data", "empty")
+    assert done.returncode == 1
+    assert "color_0001.png, depth_0001.png" in done.stdout
+    assert "proj_depth" in done.stdout
+    done = run_command("check_data", "nowhere")
+    assert (done.returncode, done.stderr) == (
+        1,
+        "error: nowhere is not a folder: give the folder of your recordings\n",
+    )
+
+
+def test_nothing_is_written_beside_the_frames(tmp_path: Path) -> None:
+    RECORDERS["prefixes"].write(tmp_path, SIZE)
+    before = sorted(tmp_path.rglob("*"))
+    assert recognize_folder(tmp_path)
+    assert sorted(tmp_path.rglob("*")) == before
