@@ -1,5 +1,6 @@
 """Your own pictures with depth: pairs, splits, and errors that name the file."""
 
+import unicodedata
 from pathlib import Path
 
 import cv2
@@ -203,3 +204,30 @@ def test_real_pair() -> None:
     raw = cv2.imread(str(root / "annotations" / f"{data.names[0]}.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(data.load_frame(0).depth, (raw / 1000.0).astype(np.float32))
     assert data[0]["image"].shape == (3, 120, 160)
+
+
+def test_names_in_either_form_of_unicode_are_one_name(tmp_path: Path) -> None:
+    composed, apart = (unicodedata.normalize(form, "Küche é") for form in ("NFC", "NFD"))
+    tree(tmp_path, 2)
+    for folder, name in (("images", apart), ("depths", composed)):
+        for number in range(2):
+            (tmp_path / folder / f"f{number:03d}.png").rename(tmp_path / folder / f"{name}{number}.png")
+    data = FolderDataset(tmp_path, max_depth=10.0, split="val", val_names=[f"{apart}1"])
+    assert data.names == [f"{composed}1"]
+    assert data[0]["mask"].any()
+    (tmp_path / "pairs.csv").write_text(f"images/{composed}0.png,depths/{apart}0.png\n")
+    assert FolderDataset(tmp_path, csv="pairs.csv", max_depth=10.0)[0]["mask"].any()
+    cv2.imwrite(str(tmp_path / f"images/{composed}0.png"), RGB)
+    with pytest.raises(ValueError, match="have the same name: remove one"):
+        FolderDataset(tmp_path, max_depth=10.0)
+
+
+def test_pictures_of_other_formats_are_counted_and_named(tmp_path: Path, caplog) -> None:
+    tree(tmp_path, 2)
+    for name in ("a.dng", "b.DNG", "c.avif", ".d.avif", "notes.txt"):
+        (tmp_path / "images" / name).write_bytes(b"")
+    for split in ("train", "val"):  # said once
+        FolderDataset(tmp_path, max_depth=10.0, split=split)
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert "3 pictures are passed over" in line
+    assert "(2 .dng, 1 .avif; such as a.dng)" in line

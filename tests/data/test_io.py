@@ -5,10 +5,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from support.layouts import real_folder
 from support.predicting import turned_by_exif
 
-from eldenet.data.io import ENCODINGS, DepthEncoding, decode_depth, depth_encoding, read_depth, read_image
+from eldenet.data.io import (
+    ENCODINGS,
+    DepthEncoding,
+    decode_depth,
+    depth_encoding,
+    read_depth,
+    read_image,
+    read_raw_depth,
+)
 
 RNG = np.random.default_rng(0)
 RGB = RNG.integers(0, 255, (37, 53, 3), dtype=np.uint8)
@@ -249,3 +258,67 @@ def test_float_tiff_is_read(tmp_path: Path) -> None:
 def test_a_real_npy_equals_a_straight_reading() -> None:
     path = real_folder("nyu_depth_v2/fastdepth_npy", "depth.npy") / "depth.npy"
     np.testing.assert_array_equal(read_depth(path, "meters"), np.load(path).squeeze())
+
+
+TURNS = {  # EXIF's numbers: what makes a picture of this orientation upright
+    1: lambda a: a, 2: lambda a: a[:, ::-1], 3: lambda a: a[::-1, ::-1], 4: lambda a: a[::-1],
+    5: lambda a: a.swapaxes(0, 1), 6: lambda a: np.rot90(a, -1), 7: lambda a: np.rot90(a, 2).swapaxes(0, 1),
+    8: np.rot90,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("orientation", TURNS)
+def test_tiff_files_are_read_as_stored_and_turned_only_where_asked(tmp_path: Path, orientation: int) -> None:
+    for values in (RGB, MILLIMETERS, MILLIMETERS.astype(np.float32) / 1000):
+        path = tmp_path / f"{values.dtype}.tif"
+        Image.fromarray(values).save(path, tiffinfo={0x112: orientation})
+        if values is RGB:
+            np.testing.assert_array_equal(read_image(path), RGB)
+            np.testing.assert_array_equal(read_image(path, upright=True), TURNS[orientation](RGB))
+        else:
+            np.testing.assert_array_equal(read_raw_depth(path), values)
+
+
+@pytest.mark.parametrize("peak", [1, 15, 100, 254, 255])
+def test_a_ppm_of_any_peak_has_the_full_range(tmp_path: Path, peak: int) -> None:
+    numbers = RNG.integers(0, peak + 1, (4, 5, 3), dtype=np.uint8)
+    (tmp_path / "a.ppm").write_bytes(b"P6\n5 4\n%d\n" % peak + numbers.tobytes())
+    np.testing.assert_array_equal(read_image(tmp_path / "a.ppm"), np.floor(numbers * 255.0 / peak + 0.5))
+    (tmp_path / "d.pgm").write_bytes(b"P5\n5 4\n%d\n" % peak + numbers[..., 0].tobytes())
+    np.testing.assert_array_equal(read_raw_depth(tmp_path / "d.pgm"), numbers[..., 0])  # these are no colors
+
+
+def test_a_ppm_with_numbers_above_its_peak_is_damaged(tmp_path: Path) -> None:
+    (tmp_path / "a.ppm").write_bytes(b"P6\n1 1\n15\n" + bytes((3, 16, 3)))
+    with pytest.raises(ValueError, match=r"a\.ppm is truncated or damaged \(numbers above its peak of 15"):
+        read_image(tmp_path / "a.ppm")
+
+
+def test_a_video_behind_a_photo_does_not_count(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.jpg", cv2.resize(RGB, (4000, 3000)))
+    alone = read_image(path)
+    path.write_bytes(path.read_bytes() + RNG.bytes(10_000) + b"\xff\xda" * 5000)
+    np.testing.assert_array_equal(read_image(path), alone)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"GIF89a" + bytes(20), "GIF"),
+        (b"\0\0\0\x1cftypavif" + bytes(20), "AVIF"),
+        (b"\0\0\0\x18ftypcrx " + bytes(20), "raw photo"),
+        (b"\xff\x0a" + bytes(20), "JPEG XL"),
+        (b"P3\n1 1\n255\n1 2 3\n", "PBM or text PNM"),
+    ],
+)
+def test_formats_that_are_not_read_are_named(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "a.jpg").write_bytes(content)
+    with pytest.raises(ValueError, match=rf"a\.jpg is of a format that is not read \({said}.*convert it"):
+        read_image(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize("tags", [{254: 1}, {50706: b"\1\4\0\0"}])
+def test_the_preview_in_a_raw_photo_is_not_taken_for_the_photo(tmp_path: Path, tags: dict) -> None:
+    Image.fromarray(RGB).save(tmp_path / "a.tif", tiffinfo=tags)
+    with pytest.raises(ValueError, match="raw photo"):
+        read_image(tmp_path / "a.tif")

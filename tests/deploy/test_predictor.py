@@ -141,3 +141,43 @@ def test_the_last_rows_of_an_odd_size_are_like_their_neighbors() -> None:
     assert rows[-1] > 1.3 * rows[-16]
     rows = np.median(predictor(frame), axis=1)
     assert rows[-1] == pytest.approx(rows[-16], rel=0.05)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 640), (7, 7)])
+def test_a_picture_that_shows_nothing_is_refused(model: DepthNet, size: tuple[int, int]) -> None:
+    with pytest.raises(
+        ValueError, match=rf"frame is {size[0]} x {size[1]} px: give a picture of 8 px or more"
+    ):
+        DepthPredictor(model)(np.zeros((*size, 3), np.uint8))
+
+
+class Answers(Runtime):
+    """A runtime whose network answers with a given map."""
+
+    def __init__(self, answer: np.ndarray) -> None:
+        super().__init__("fp32", 1, "cpu", {"input_size": "[16, 16]"})
+        self.answer = answer
+
+    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
+        return [self.answer]
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (np.full((1, 1, 16, 16), -2.0, np.float32), "-2 to -2 m, but must be above 0"),
+        (np.eye(16, dtype=np.float32)[None, None], "0 to 1 m, but must be above 0"),
+        (np.full((1, 1, 16, 16), 3), "int64, which is no depth"),
+        (np.ones((1, 3, 16, 16), np.float32), r"\(1, 3, 16, 16\) float32, which is no depth"),
+        (np.ones((1, 16, 16), np.float32), "which is no depth"),
+        (np.full((1, 1, 16, 16), np.nan, np.float32), "not finite"),
+    ],
+)
+def test_what_is_no_depth_is_refused(answer: np.ndarray, said: str) -> None:
+    network = Answers(answer)
+    for call in (
+        lambda: DepthPredictor(network)(photo(16, 16)),
+        lambda: network(np.zeros((1, 3, 16, 16), "f4")),
+    ):
+        with pytest.raises(ValueError, match=said):
+            call()

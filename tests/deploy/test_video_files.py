@@ -1,15 +1,18 @@
 """The content of a file says whether it is a video, and whether it is whole."""
 
 import shutil
+import struct
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from support.films import CODECS, copy_packets, cut, read_video, trim, write_video
 from support.predicting import listed, photo, run, save
 
 from eldenet.deploy.stream import DepthStream, is_live
-from eldenet.deploy.video_files import is_video_file
+from eldenet.deploy.video_files import VideoFile, is_video_file
 
 
 def stream_of(path: Path) -> tuple[list[float], str]:
@@ -150,3 +153,42 @@ def test_frames_keep_the_uneven_times_that_a_file_states(tmp_path: Path) -> None
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     np.testing.assert_allclose(stream_of(tmp_path / "walk.mkv")[0], [0, 0.04, 0.08, 0.32, 0.36])
+
+
+MATRICES = {  # a, b, c, d of a display matrix: a point (x, y) is shown at (a x + c y, b x + d y)
+    (1, 0, 0, 1): lambda a: a,
+    (-1, 0, 0, 1): lambda a: a[:, ::-1],
+    (1, 0, 0, -1): lambda a: a[::-1],
+    (-1, 0, 0, -1): lambda a: a[::-1, ::-1],
+    (0, 1, -1, 0): lambda a: np.rot90(a, -1),
+    (0, -1, 1, 0): np.rot90,
+    (0, 1, 1, 0): lambda a: a.swapaxes(0, 1),
+    (0, -1, -1, 0): lambda a: a.swapaxes(0, 1)[::-1, ::-1],
+}
+
+
+@pytest.mark.parametrize("matrix", MATRICES)
+def test_a_video_is_turned_and_mirrored_as_its_matrix_says(tmp_path: Path, matrix: tuple[int, ...]) -> None:
+    path = write_video(tmp_path / "walk.mp4", frames=2)
+    stored = [frame for frame, _ in VideoFile(path).frames()]
+    content = bytearray(path.read_bytes())
+    a, b, c, d = (65536 * number for number in matrix)
+    at = content.index(b"tkhd") + 4 + 40  # of a track header in version 0
+    assert struct.unpack_from(">9i", content, at)[::4] == (65536, 65536, 1 << 30)
+    struct.pack_into(">9i", content, at, a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(content)
+    shown = [frame for frame, _ in VideoFile(path).frames()]
+    np.testing.assert_array_equal(shown, [MATRICES[matrix](frame) for frame in stored])
+
+
+@pytest.mark.parametrize(("aspect", "width"), [("4/3", 85), ("8/9", 57), ("1/1", 64), ("900/1", 64)])
+def test_pixels_become_square(tmp_path: Path, aspect: str, width: int) -> None:
+    path = tmp_path / "walk.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = Fraction(aspect)
+        for _ in range(2):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(photo(48, 64), "rgb24")))
+        container.mux(stream.encode())
+    assert {frame.shape for frame, _ in VideoFile(path).frames()} == {(48, width, 3)}
