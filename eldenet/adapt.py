@@ -47,6 +47,8 @@ class AdaptSettings:
 
     def __post_init__(self) -> None:
         height, pitch = self.camera_height, self.camera_pitch
+        if self.intrinsics is not None:
+            intrinsic_matrix(self.intrinsics)  # a mistake ends before torch is loaded
         if not 0 < self.minutes < math.inf:
             raise ValueError(f"minutes={self.minutes}: give a number above 0")
         if self.frames < 1:
@@ -97,7 +99,6 @@ def _calibrate(s: AdaptSettings) -> bool:
         raise ValueError(
             "give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: the floor's height needs them"
         )
-    intrinsic_matrix(s.intrinsics)  # a mistake ends before torch is loaded
     source = find_source(s.source, Path(s.output), None)
     if source.is_live:
         raise ValueError(f"source={s.source}: give a folder of pictures or a video file, not a camera")

@@ -81,6 +81,9 @@ class BenchmarkSettings:
             one_of("runtimes", runtime, RUNTIMES)
         for precision in listed(self.precisions):
             one_of("precisions", precision, PRECISIONS)
+        for name in ("batches", "threads"):
+            if not all(type(count) is int and count >= 1 for count in listed(getattr(self, name))):
+                raise ValueError(f"{name}={getattr(self, name)}: give a list of whole numbers of 1 or more")
         for name in ("rounds", "calibration"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}={getattr(self, name)}: give 1 or more")

@@ -108,16 +108,18 @@ def _instance(value: Any) -> Any:
     return OmegaConf.to_container(value, resolve=True, structured_config_mode=SCMode.INSTANTIATE)
 
 
-def compose_config(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
+def compose_config(
+    config_name: str, overrides: Sequence[str] = (), sources: Sequence[str] = ()
+) -> DictConfig:
     """Compose a config as the command line would, without touching Hydra's global state.
 
     So it works inside somebody else's Hydra application. Inside a command of ours it finds what the command
-    finds: what ``--config-dir`` and ``hydra.searchpath`` add.
+    finds: what ``--config-dir`` and ``hydra.searchpath`` add; ``sources`` are further addresses of folders.
 
     Raises:
         ValueError: there is no such config, or an override does not fit it.
     """
-    config = _load(config_name, overrides)
+    config = _load(config_name, overrides, sources)
     with open_dict(config):
         config.pop("hydra", None)
     return config
@@ -143,10 +145,10 @@ def groups(config_name: str) -> dict[str, list[str]]:
     return found
 
 
-def _load(config_name: str, overrides: Sequence[str]) -> DictConfig:
+def _load(config_name: str, overrides: Sequence[str], sources: Sequence[str] = ()) -> DictConfig:
     """Compose a config, with Hydra's own part."""
     search_path = create_config_search_path(str(config_folder()))
-    for source in added_sources():
+    for source in (*added_sources(), *sources):
         search_path.prepend("command-line", source, anchor=SearchPathQuery(provider="schema"))
     loader = ConfigLoaderImpl(search_path)
     try:
@@ -184,9 +186,9 @@ def plain(config: Any, *, resolve: bool = True) -> Any:
 
 
 def listed(value: Any) -> list[Any]:
-    """Return a setting that takes several values as a list; a single value becomes a list of one."""
+    """Return a setting that takes several values as a list: [] of None, a list of one of a single value."""
     values = plain(value)
-    return list(values) if isinstance(values, list | tuple) else [values]
+    return list(values) if isinstance(values, list | tuple) else [] if values is None else [values]
 
 
 # --- what YAML files call as ${name:argument,...} -----------------------------------------------------------

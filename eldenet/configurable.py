@@ -246,6 +246,8 @@ def _fits(value: Any, kind: Any) -> bool:
             return False
         kinds = inner if origin is tuple and Ellipsis not in inner else inner[:1] * len(value)
         return len(kinds) == len(value) and all(map(_fits, value, kinds))
+    if isinstance(kind, type) and issubclass(kind, Configurable):
+        return not isinstance(value, str | int | float)
     return getattr(kind, "__name__", "") != "Tensor" or hasattr(value, "shape")
 
 
@@ -257,5 +259,7 @@ def described(kind: Any) -> str:
         return " or ".join(words)
     if origin in (list, tuple, Sequence):
         count = f"{len(inner)} values" if origin is tuple and Ellipsis not in inner else "values"
-        return f"a list of {count}, each {described(inner[0])}"
+        return f"a list of {count}" + (f", each {described(inner[0])}" if inner[0] is not Any else "")
+    if isinstance(kind, type) and issubclass(kind, Configurable):
+        return "a part; a slash chooses it from its group, as in model/backbone=resnet18"
     return WORDS.get(type(None) if kind is None else kind, getattr(kind, "__name__", str(kind)))

@@ -31,9 +31,8 @@ class EvaluateSettings:
     data: dict[str, Any] = REQUIRED
     runtime: dict[str, Any] = REQUIRED
     protocol: dict[str, Any] | None = None  # a name from configs/protocol; null: the data set's own
-    checkpoint: str = (
-        REQUIRED  # run, model folder, Hub id, packaged weights, or an exported .onnx or .xml file
-    )
+    # run, model folder, Hub id, packaged weights, or an exported .onnx or .xml file
+    checkpoint: str = REQUIRED
     engine: str = "auto"  # for exported files: onnxruntime, openvino, or auto (the fastest)
     precision: str | None = None  # for exported files: bf16 (openvino only); null: the file's own
     split: str = "test"  # train, val or test

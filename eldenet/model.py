@@ -1,7 +1,6 @@
 """DepthNet: normalize -> network -> head. Saved as ``config.json`` + safetensors."""
 
 import json
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +19,7 @@ from eldenet.heads import Head, add_channels
 from eldenet.system.checks import check_size
 from eldenet.system.digests import check_digests, with_digests
 from eldenet.system.files import read_json, write_bytes, write_text
+from eldenet.system.terminal import print_note
 from eldenet.types import FeatureInfo
 from eldenet.uncertainty import DepthEstimate
 from eldenet.weights.model_card import MARK, model_card, summary
@@ -327,7 +327,7 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
         ) from error
     _complete(folder, source)
     info = _read_config(folder)["info"]
-    print(f"{source}: {summary(info)}; https://huggingface.co/{source}", file=sys.stderr)  # noqa: T201
+    print_note(f"{source}: {summary(info)}; https://huggingface.co/{source}")
     return folder
 
 

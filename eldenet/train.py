@@ -23,6 +23,7 @@ from eldenet.system.extras import EXTRAS, require
 from eldenet.system.files import sole_writer, write_yaml
 from eldenet.system.resources import choose_resources, is_main_process, join_processes, main_process_first
 from eldenet.system.signals import as_ctrl_c
+from eldenet.system.terminal import print_note
 from eldenet.weights import find_checkpoint
 
 
@@ -59,6 +60,13 @@ class TrainSettings:
     # run, model folder, Hub id or packaged weights to start from: copies the tensors that fit, and their
     # normalization
     weights: str | None = None
+
+    def __post_init__(self) -> None:
+        focal = self.canonical_focal
+        if focal is not None and not 0.1 <= focal <= 10:
+            raise ValueError(f"canonical_focal={focal:g}: give it in widths of the input, 0.1 to 10")
+        if not self.process_timeout > 0:
+            raise ValueError(f"process_timeout={self.process_timeout:g}: give seconds above 0")
 
 
 def train(s: TrainSettings, overrides: Sequence[str] = ()) -> float:
@@ -176,7 +184,7 @@ def main(s: TrainSettings) -> float:
             status: str | int | None = 130  # as shells count it
         except SystemExit as end:  # of a signal
             status = end.code
-    print(f"stopped; to continue: {resume_command(s.output)}", file=sys.stderr)  # noqa: T201
+    print_note(f"stopped; to continue: {resume_command(s.output)}")
     raise SystemExit(status)
 
 

@@ -9,6 +9,8 @@ import os
 import sys
 from collections.abc import Sequence
 
+from eldenet.system.terminal import print_error, terminal
+
 #: Command -> what it does. ``check-data`` is the module ``eldenet.check_data``.
 COMMANDS = {
     "train": "train a network and score its best epoch",
@@ -75,7 +77,12 @@ def main(words: Sequence[str] | None = None) -> None:
     Args:
         words: of the command line; None: those of this process.
     """
-    first, *rest = (sys.argv[1:] if words is None else list(words)) or ["--help"]
+    with terminal():
+        _main(sys.argv[1:] if words is None else list(words))
+
+
+def _main(words: Sequence[str]) -> None:
+    first, *rest = list(words) or ["--help"]
     name = first.replace("_", "-")
     if first in ("-h", "--help", "help"):
         _print(command_list())
@@ -141,5 +148,5 @@ def _print(text: str) -> None:
 
 
 def _fail(line: str) -> None:
-    print(f"error: {line}", file=sys.stderr)  # noqa: T201
+    print_error(line)
     raise SystemExit(1)

@@ -2,11 +2,12 @@
 
 import functools
 import logging
-import os
+import re
+import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import redirect_stderr, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,12 +19,14 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from eldenet.cli.help import advice, help_template, quote_paths
+from eldenet.cli.help import advice, comment_on, help_template, quote_paths, wrong_option
 from eldenet.compose import command_of, config_folder, register, resolver, to_settings
 from eldenet.system.errors import FULL, USER_ERRORS, line_of
 from eldenet.system.extras import require_for_parts
+from eldenet.system.terminal import log_in_lines, print_error, terminal
 
 S = TypeVar("S")
+MISSING = re.compile(r"give ([\w.]+)=\.\.\. on the command line")
 QUIET = ("-h", "--help", "--hydra-help", "-c", "--cfg", "-sc", "--shell-completion", "-i", "--info")
 
 
@@ -38,62 +41,58 @@ def entry_point(settings: type[S]) -> Callable[[Callable[[S], Any]], Callable[[]
     config_name = command_of(settings)
 
     def decorate(main: Callable[[S], Any]) -> Callable[[], None]:
-        composed = False
-        held, stderr = StringIO(), sys.stderr  # Hydra's own lines, which ours replace where there is one
-
-        @functools.wraps(main)
-        def task(config: DictConfig) -> Any:
-            nonlocal composed
-            composed = True
-            release()
-            return _run(main, config)
-
-        def release() -> None:
-            sys.stderr = stderr
-            stderr.write(held.getvalue())
-            held.truncate(0)
-            held.seek(0)
-
         @functools.wraps(main)
         def command() -> None:
-            nonlocal stderr
-            stderr = sys.stderr
             about = sys.modules[main.__module__].__doc__ or ""
             resolver("command_help")(lambda: help_template(settings, about))
             words = sys.argv[1:] = quote_paths(sys.argv[1:])
-            if stderr.isatty() and not any(word in QUIET for word in words):
-                stderr.write(f"eldenet {config_name} starts ...\r")  # at once: the imports take seconds
-                stderr.flush()
-            decorated = hydra.main(
-                version_base="1.3", config_path=str(config_folder()), config_name=config_name
-            )
-            try:
-                sys.stderr = held
-                decorated(task)()
-                sys.stdout.flush()
-            except SystemExit as end:
-                failed = end.__context__
-                if isinstance(failed, OSError) and not isinstance(failed, HydraException) and not composed:
-                    held.truncate(0)
-                    held.seek(0)
-                    sys.stderr = stderr
-                    _print_error(line_of(failed))
-                    raise
-                may_be_unknown = not composed or any(word.startswith("+") for word in words)
-                line = advice(config_name, words) if end.code and may_be_unknown else ""
-                if line := line or (_in_one_line(held.getvalue()) if end.code and not composed else ""):
-                    held.truncate(0)
-                    sys.stderr = stderr
-                    _print_error(line)
-                raise
-            except BrokenPipeError:  # as after `| head`
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for Python's last flush
-            finally:
-                release()
+            with terminal():
+                if any(word.startswith("+") for word in words) and (line := advice(config_name, words)):
+                    print_error(line)
+                    raise SystemExit(1)
+                if sys.stderr.isatty() and not any(word in QUIET for word in words):
+                    sys.stderr.write(f"eldenet {config_name} starts ...\r")  # at once: imports take seconds
+                    sys.stderr.flush()
+                _start(main, config_name, words)
 
         return command
 
     return decorate
+
+
+def _start(main: Callable[[S], Any], config_name: str, words: Sequence[str]) -> None:
+    """Let Hydra compose the settings and run the job or jobs; where it fails, one line says what to do."""
+    stderr, hydras_lines = sys.stderr, StringIO()
+    raised: list[Exception] = []  # by jobs
+
+    @functools.wraps(main)
+    def task(config: DictConfig) -> Any:
+        with redirect_stderr(stderr):
+            try:
+                return _run(main, config)
+            except Exception as error:
+                raised.append(error)
+                raise
+
+    decorated = hydra.main(version_base="1.3", config_path=str(config_folder()), config_name=config_name)
+    try:
+        with redirect_stderr(hydras_lines):
+            decorated(task)()
+    except SystemExit as end:
+        failed, text = end.__context__, hydras_lines.getvalue()
+        of_a_job = any(failed is error for error in raised)
+        if not end.code or (of_a_job and not isinstance(failed, USER_ERRORS)):  # a bug shows its traceback
+            stderr.write(text)
+        elif of_a_job or not text:
+            pass  # said where it happened
+        elif text.startswith("usage:"):
+            print_error(wrong_option(config_name, text.rstrip().rpartition("error: ")[2]))
+        else:
+            is_of_disk = isinstance(failed, OSError) and not isinstance(failed, HydraException)
+            line = line_of(failed) if failed and is_of_disk else advice(config_name, words)
+            print_error(line or _in_one_line(text, failed))
+        raise
+    stderr.write(hydras_lines.getvalue())
 
 
 def _run(main: Callable[[S], Any], config: DictConfig) -> Any:
@@ -102,16 +101,21 @@ def _run(main: Callable[[S], Any], config: DictConfig) -> Any:
     folder = Path(hydra_config.runtime.output_dir)
     sweep = hydra_config.mode == RunMode.MULTIRUN
     threading.excepthook = _thread_failed
+    log_in_lines()
     try:
+        if empty := [word for word in given_settings().values() if word.endswith("=")]:
+            raise ValueError(f"{empty[0]}: give a value, or leave it out")
         require_for_parts(OmegaConf.to_container(config))
         # a command with a run folder, which a sweep numbers: 0, 1, ...
         changes = {} if hydra_config.run.dir == "." else {"output": str(folder)}
         return main(to_settings(config, **changes))
+    except BrokenPipeError:  # the reader left, as head does: end as the signal would
+        raise SystemExit(128 + signal.SIGPIPE) from None
     except USER_ERRORS as error:
-        if isinstance(error, BrokenPipeError):
-            raise
         logging.getLogger("eldenet").debug("", exc_info=True)
-        _print_error(line_of(error))
+        missing = MISSING.fullmatch(line_of(error))
+        comment = comment_on(OmegaConf.get_type(config) or dict, missing[1]) if missing else ""
+        print_error(line_of(error) + (f": {comment}" if comment else ""))
         if sweep:
             raise  # Hydra runs the other jobs and fails at the end
         raise SystemExit(1) from None
@@ -121,12 +125,11 @@ def _run(main: Callable[[S], Any], config: DictConfig) -> Any:
                 folder.rmdir()  # Hydra made it; a mistake leaves it empty
 
 
-def _in_one_line(text: str) -> str:
-    """Return what Hydra or argparse said about the command line as one line; "" for a traceback."""
-    lines = [line.strip() for line in text.splitlines() if line.strip() and "HYDRA_FULL_ERROR" not in line]
-    if text.startswith("usage:"):
-        lines = [lines[-1].partition("error: ")[2], "(--help shows what there is)"]
-    return "" if "Traceback" in text else " ".join(lines)
+def _in_one_line(text: str, failed: BaseException | None) -> str:
+    """Return what Hydra said about the command line, or the error where it said nothing in words."""
+    if "Traceback" in text and failed is not None:
+        return f"the settings cannot be read ({type(failed).__name__}: {failed}): --help shows what there is"
+    return " ".join(text.partition("\nSet the environment variable")[0].split())
 
 
 def _thread_failed(failed: threading.ExceptHookArgs) -> None:
@@ -134,10 +137,6 @@ def _thread_failed(failed: threading.ExceptHookArgs) -> None:
     error = failed.exc_value
     if not (isinstance(error, OSError) and error.errno in FULL):
         threading.__excepthook__(failed)
-
-
-def _print_error(line: str) -> None:
-    print(f"error: {line}", file=sys.stderr)  # noqa: T201
 
 
 def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:

@@ -4,12 +4,14 @@ import difflib
 import inspect
 import json
 import os
+import pkgutil
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from textwrap import fill
 from typing import Any, get_type_hints
 
+from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import OverrideParseException
 
@@ -26,9 +28,12 @@ MEANT = {  # settings as other tools, and earlier states, call them
 }
 WRONG_VALUE = re.compile(r"^[\w.]+=.*: give ")
 FIELD = re.compile(r"(?P<name>\w+): .+?(?P<comment>  # .*)?$")  # of a dataclass
+HOME = re.compile(r"(?<=[=\[,\"'])~(?=/|$)")  # at the start of a path, or of one in a list
+SHOWING = ("-h", "--help", "--hydra-help", "--version")  # options at which argparse would stop
 CHOICE = re.compile(  # in Hydra's words
     r"Could not find '(?P<name>[^']+)'\s+Available options in '(?P<group>[^']+)':\n(?P<options>(?:\t.+\n?)+)"
 )
+MOST_MEANT = 5  # names in a question
 QUOTES = (
     "close every bracket and quote; a value with spaces or special characters needs two pairs of quotes: "
     "'source=\"my photo (1).jpg\"'"
@@ -97,45 +102,170 @@ def _lines(settings: type, defaults: Mapping[str, Any], prefix: str = "") -> lis
             value = json.dumps(defaults.get(name)).strip('"').replace("???", "(required)")
             bases = reversed(getattr(get_type_hints(settings)[name], "__mro__", ()))
             sections = [base for base in bases if hasattr(base, "__dataclass_fields__")]
-            inner = [one for part in sections for one in _lines(part, defaults[name], f"{prefix}{name}.")]
+            inner = [
+                one for part in sections for one in _lines(part, defaults.get(name) or {}, f"{prefix}{name}.")
+            ]
             lines += [*comments, *(inner or [f"{prefix}{name}: {value}{comment}"])]
             comments = []
     return lines
 
 
+def comment_on(settings: type, name: str) -> str:
+    """Return the comment beside a setting in one line, "" if there is none.
+
+    A setting of a section has it in a YAML file, beside its ``???``.
+    """
+    if "." in name:
+        files = (config_folder() / name.partition(".")[0]).rglob("*.yaml")
+        beside = re.compile(rf"^\s*{name.rpartition('.')[2]}: \?\?\?\s+# (.*)", re.MULTILINE)
+        found = (beside.search(file.read_text()) for file in files)
+        return next((comment[1] for comment in found if comment), "")
+    lines = _lines(settings, {})
+    place = next((place for place, line in enumerate(lines) if line.startswith(f"{name}: ")), 0)
+    comments = [lines[place].partition("  # ")[2]]
+    while place and lines[place - 1].startswith("# "):
+        place -= 1
+        comments.insert(0, lines[place].removeprefix("# "))
+    return " ".join(comments).strip()
+
+
 def advice(config_name: str, words: Sequence[str]) -> str:
     """Return one line on the override that made a command fail, or "" if none did.
+
+    A setting that a plus adds must be a group, or something that a part takes.
 
     Args:
         config_name: of the command's YAML file.
         words: of the command line.
     """
-    words = [word for word in words if not word.startswith("-")]
-    if unread := next((word for word in words if _parsed(word) is None), None):
-        if "=" in unread:
-            return f"{unread} cannot be read: {QUOTES}"
-        named = "source" in _settings(config_name, []) and os.path.exists(unread)
-        return f"{unread} cannot be read: write {f'source={unread}' if named else 'setting=value'}"
+    options, _ = get_args_parser().parse_known_args([word for word in words if word not in SHOWING])
+    sources = [] if options.config_dir is None else [f"file://{os.path.abspath(options.config_dir)}"]
+    words = options.overrides
+    if unread := next((word for word in words if word.startswith("=") or _parsed(word) is None), None):
+        return _unread(config_name, unread)
+    several = next((word for word in words if _parsed(word).is_sweep_override()), "")
+    if several and not options.multirun:
+        key, _, value = several.partition("=")
+        return f"{several}: give one value, a list {key}=[{value}], or -m {several} for a run of each"
     try:
         for job in _jobs(words):
             words = job
-            compose_config(config_name, job)
+            if line := _no_choice(config_name, job) or _added(config_name, job, sources):
+                return line
+            compose_config(config_name, job, sources)
     except ValueError as error:
         if choice := CHOICE.search(str(error)):
             return _choice(choice["group"], choice["name"], choice["options"].split())
         unknown = re.search(r"Could not override '(.+?)'", str(error))
         if unknown:
             others = [word for word in words if getattr(_parsed(word), "key_or_group", "") != unknown[1]]
-            return _nearest(unknown[1], _settings(config_name, others))
+            return _nearest(unknown[1], _settings(config_name, others, sources))
         if WRONG_VALUE.search(str(error)):
-            return str(error)
+            sweep = re.match(r"([\w.]+)=\[?\d+ ?(\.\.|-|:|,| )", str(error))
+            return str(error) + (f"; for several runs -m {sweep[1]}=1,2,3" if sweep else "")
     return ""
 
 
+def wrong_option(config_name: str, fault: str) -> str:
+    """Return one line on an option that does not exist, such as ``--epochs=3``.
+
+    Args:
+        config_name: of the command's YAML file.
+        fault: in argparse's words.
+    """
+    option = fault.partition("unrecognized arguments: ")[2].partition(" ")[0]
+    key = option.lstrip("-").partition("=")[0]
+    known = _settings(config_name, [])
+    if key in known:
+        return f"{option}: settings have no dashes, write {key}=value"
+    if option and "did you mean" in (line := _nearest(key, known)):
+        return f"{option}: settings have no dashes, and {line}"
+    return f"{fault} (--help shows what there is)"
+
+
+def _unread(config_name: str, word: str) -> str:
+    """Return a line on a word of the command line that is no override."""
+    key, equals, value = word.partition("=")
+    if equals and (" " in key or not key):
+        return f"{word} cannot be read: write setting=value, with the name of a setting and without spaces"
+    if re.fullmatch(r"\(.*\)", value):
+        return f"{word} cannot be read: a list has square brackets, {key}=[{value[1:-1]}]"
+    if equals:
+        return f"{word} cannot be read: {QUOTES}"
+    known = _settings(config_name, [])
+    if "source" in known and os.path.exists(word):
+        return f"{word} cannot be read: write source={word}"
+    name = word if word in known else "setting"
+    return f"{word} cannot be read: write {name}=value (--help lists all settings)"
+
+
+def _no_choice(config_name: str, words: Sequence[str]) -> str:
+    """Return a line on a number or null where a group's choice should be, as in ``data=1``."""
+    options = groups(config_name)
+    for word in words:
+        override = _parsed(word)
+        group = override.key_or_group
+        if group in options and isinstance(override.value(), bool | int | float | None):
+            return _choice(group, word.partition("=")[2], options[group])
+    return ""
+
+
+def _added(config_name: str, words: Sequence[str], sources: Sequence[str]) -> str:
+    """Return a line on a setting that a plus adds and that nothing would read."""
+    added = [word for word in words if word.startswith("+")]
+    if not added:
+        return ""
+    options = groups(config_name)
+    config = plain(compose_config(config_name, [w for w in words if w not in added], sources), resolve=False)
+    named = set(re.findall(r"\$\{([\w.]+)\}", json.dumps(config, default=str)))
+    for word in added:
+        key = _parsed(word).key_or_group
+        if key in options or "/" in key or "@" in key or key.partition(".")[0] == "hydra" or key in named:
+            continue
+        section, place, name = config, "", key
+        while "." in name and isinstance(section.get(name.partition(".")[0]), dict):
+            first, _, name = name.partition(".")
+            section, place = section[first], f"{place}{first}."
+        if name.partition(".")[0] not in section and not _takes(section, place, name.partition(".")[0]):
+            known = _flat(config)
+            if "_target_" in section:
+                known |= dict.fromkeys(f"{place}{one}" for one in _arguments(section["_target_"]))
+            return _nearest(key, known)
+    return ""
+
+
+def _takes(section: Mapping[str, Any], place: str, name: str) -> bool:
+    """Return whether something reads an entry that is added to a section of the settings."""
+    if "_target_" in section:
+        arguments = _arguments(section["_target_"])
+        return name[:1] == "_" or not arguments or name in arguments
+    if not place:
+        return False  # of the command's own settings
+    if not any(isinstance(part, dict) and "_target_" in part for part in section.values()):
+        return True  # a mapping of anything, such as given of a study
+    files = (config_folder() / place.partition(".")[0]).rglob("*.yaml")
+    return any(re.search(rf"^{re.escape(name)}:", file.read_text(), re.MULTILINE) for file in files)
+
+
+def _arguments(target: str) -> list[str]:
+    """Return the names that a part takes; none where it takes any, or cannot be imported."""
+    try:
+        parameters = inspect.signature(pkgutil.resolve_name(target)).parameters.values()
+    except (ImportError, AttributeError, TypeError, ValueError):
+        return []
+    any_name = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
+    return [] if any_name else [parameter.name for parameter in parameters]
+
+
 def quote_paths(words: Sequence[str]) -> list[str]:
-    """Quote values that Hydra cannot read but that name a file: ``source=my photo (1).jpg``."""
+    """Return words of the command line with ``~`` for the home folder written out, and names of files quoted.
+
+    Quotes are for what Hydra cannot read: ``source=my photo (1).jpg``.
+    """
     quoted = []
     for word in words:
+        if not word.startswith(("-", "~")):  # no shell expands the ~ within data.root=~/mine
+            word = HOME.sub(os.path.expanduser("~"), word)
         key, _, value = word.partition("=")
         plain_name = not word.startswith("-") and value and '"' not in value
         if plain_name and _parsed(word) is None and os.path.exists(value):
@@ -170,11 +300,11 @@ def _parsed(word: str) -> Any:
 def _choice(group: str, name: str, options: Sequence[str]) -> str:
     """Return a line on a choice that a group does not have."""
     name = name.removeprefix(f"{group}/")
-    near = difflib.get_close_matches(name, options, 1)
-    return (
-        f"{group}={name}: " + (f"did you mean {near[0]}? " if near else "") + f"choose from "
-        f"{', '.join(options)}"
-    )
+    small = name.lower().replace("-", "_")
+    near = [option for option in options if option.startswith(f"{small}_")] if small not in options else []
+    near = near or difflib.get_close_matches(small, options, 1)
+    meant = f"did you mean {' or '.join(near)}? " if 0 < len(near) <= MOST_MEANT else ""
+    return f"{group}={name}: {meant}choose from {', '.join(options)}"
 
 
 def _nearest(key: str, known: dict[str, Any]) -> str:
@@ -185,26 +315,27 @@ def _nearest(key: str, known: dict[str, Any]) -> str:
     others = [name for name in known if name != key]  # it may exist with other choices
     alike = [name for name in others if name.rpartition(".")[2] == last]
     alike = alike or [name for name in others if name == MEANT.get(key)]
+    ends = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in others}, 1, 0.8)
     alike = alike or difflib.get_close_matches(key, others, 1)
+    alike = alike or [name for name in others if name.rpartition(".")[2] in ends]
     if "/" in key:  # a group of choices
         alike = [name.replace(".", "/") for name in alike]
     found = f"did you mean {' or '.join(alike[:3])}?" if alike else "--help lists all settings"
     return f"there is no setting {key}: {found}"
 
 
-def _settings(config_name: str, words: Sequence[str]) -> dict[str, Any]:
+def _settings(config_name: str, words: Sequence[str], sources: Sequence[str] = ()) -> dict[str, Any]:
     """Return all settings and sections by dotted name, with the groups that ``words`` choose."""
-    config = None
     for chosen in ([word for word in words if "." not in word.partition("=")[0]], []):
         try:
-            config = compose_config(config_name, chosen)
-            break
+            return _flat(plain(compose_config(config_name, chosen, sources), resolve=False))
         except ValueError:  # a wrong choice
             continue
+    return {}
 
-    def flat(node: Any, prefix: str) -> dict[str, Any]:
-        entries = {f"{prefix}{key}": value for key, value in node.items()}
-        inner = [flat(value, f"{key}.") for key, value in entries.items() if isinstance(value, dict)]
-        return {key: value for part in (entries, *inner) for key, value in part.items()}
 
-    return {} if config is None else flat(plain(config, resolve=False), "")
+def _flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the entries of nested mappings by dotted name, those of mappings too."""
+    entries = {f"{prefix}{key}": value for key, value in node.items()}
+    inner = [_flat(value, f"{key}.") for key, value in entries.items() if isinstance(value, dict)]
+    return {key: value for part in (entries, *inner) for key, value in part.items()}

@@ -11,7 +11,7 @@ from torch.utils.data import Dataset
 from eldenet.data.cache import FrameCache, open_cache
 from eldenet.data.paths import check_files, missing_files
 from eldenet.geometry import check_intrinsics, resize_image, resize_intrinsics, resize_sparse
-from eldenet.system.checks import one_of
+from eldenet.system.checks import check_size, one_of
 from eldenet.system.digests import digest_of
 from eldenet.types import DepthSample, Frame
 
@@ -97,8 +97,8 @@ class DepthDataset(Dataset[DepthSample]):
         self.min_depth, self.max_depth = nearest, farthest
         self.names = list(names)
         self.skipped: dict[str, str] = {}
-        self.input_size = _size("input_size", input_size)
-        self.resize_on_load = _size("resize_on_load", resize_on_load)
+        self.input_size = check_size("input_size", input_size)
+        self.resize_on_load = check_size("resize_on_load", resize_on_load)
         self.transform, self.seed, self.resize_depth = transform, seed, resize_depth
         self.cache, self.on_error = cache, on_error
         self._cache: FrameCache | None = None
@@ -278,14 +278,6 @@ def check_pair(one: tuple[int, ...], file: Path, other: tuple[int, ...], other_f
             f"{file} is {one[0]}x{one[1]}, {other_file} is {other[0]}x{other[1]} (height x "
             f"width): the files of a frame must have one size{hint}"
         )
-
-
-def _size(name: str, size: Sequence[int] | None) -> tuple[int, int] | None:
-    if size is None:
-        return None
-    if not isinstance(size, Sequence) or len(size) != 2:
-        raise ValueError(f"{name}={size}: give [height, width] in pixels, or null")
-    return int(size[0]), int(size[1])
 
 
 def resize_frame(

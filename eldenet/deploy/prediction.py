@@ -13,8 +13,9 @@ import numpy as np
 
 from eldenet.deploy.lens import Lens
 from eldenet.deploy.outputs import Results, name_results
-from eldenet.deploy.stream import DepthStream, is_live, without_password
+from eldenet.deploy.stream import DepthStream, is_live
 from eldenet.deploy.video_files import in_time, is_video_file, open_video
+from eldenet.system.escaping import without_password
 from eldenet.system.extras import require
 from eldenet.uncertainty import as_estimate
 from eldenet.visualization import photo_beside_depth, visible_range

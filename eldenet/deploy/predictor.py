@@ -131,6 +131,14 @@ class DepthPredictor:
             if self.device.type == "cuda":
                 full_fp32()  # as under other runtimes
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or another process needs: everything but the videos of the threads here."""
+        return {name: value for name, value in vars(self).items() if name != "_filters"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Start without a video."""
+        vars(self).update(state, _filters=threading.local())
+
     @property
     def canonical_px(self) -> float | None:
         """Focal length of the network's canonical camera [px]; None: it ignores focal lengths."""

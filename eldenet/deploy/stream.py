@@ -1,7 +1,7 @@
 """Depth from a running camera or a video: a bounded queue between reader and network."""
 
 import functools
-import re
+import queue
 import threading
 import time
 from collections import deque
@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
+
+from eldenet.system.escaping import without_password
 
 if TYPE_CHECKING:
     import cv2
@@ -53,8 +55,8 @@ class DepthStream:
         predictor: frame -> depth ``(H, W)`` [m], such as :class:`~eldenet.deploy.predictor.DepthPredictor`.
         queue_size: frames that may wait; with ``drop``, a new frame replaces the oldest.
         drop: whether to drop frames that wait too long; None: only those of cameras and addresses.
-        timeout: time without a new frame after which a camera or an address counts as lost [s]; None: never.
-            Files, and iterables whose frames are not dropped, may take any time.
+        timeout: time without an answer or a new frame after which a camera or an address counts as lost [s];
+            None: never. Files, and iterables whose frames are not dropped, may take any time.
         intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the frames [px], which are passed to the predictor
             with each frame, so that its meters are right for this camera.
 
@@ -89,7 +91,7 @@ class DepthStream:
         self.drop = live if drop is None else drop
         self._by_clock = live  # a file is not read at the pace at which it plays
         if live:
-            frames = self._open_live(str(source))
+            frames = self._open_live(str(source), timeout)
         elif isinstance(source, str | Path):
             frames = self._open_file(str(source))
         else:
@@ -187,16 +189,17 @@ class DepthStream:
         self._why_incomplete = video.why_incomplete
         return video.frames()
 
-    def _open_live(self, name: str) -> Generator[TimedFrame, None, None]:
+    def _open_live(self, name: str, timeout: float | None) -> Generator[TimedFrame, None, None]:
         import cv2
 
         camera = name.removeprefix("camera:")
         if name != camera and not camera.isdigit():
             raise ValueError(f"source={name}: give a camera's number, such as camera:0")
-        capture = cv2.VideoCapture(int(camera)) if name != camera else cv2.VideoCapture(name)
-        if not capture.isOpened():
-            capture.release()
-            shown = without_password(name)
+        asked, shown = time.monotonic(), without_password(name)
+        capture = _opened(int(camera) if name != camera else name, timeout)
+        if capture is None or not capture.isOpened():
+            if timeout is not None and time.monotonic() - asked > 0.8 * timeout:
+                raise ValueError(f"source={shown} did not answer within {timeout:g} s: is it on, in reach?")
             raise ValueError(
                 f"source={shown} cannot be opened: no such camera, out of reach, or no permission"
             )
@@ -213,6 +216,28 @@ class DepthStream:
 
         self._why_incomplete = why_incomplete
         return _frames_of(capture)
+
+
+def _opened(camera: int | str, timeout: float | None) -> "cv2.VideoCapture | None":
+    """Open a camera or an address; None: it has not answered in time [s], whatever FFmpeg's limits are."""
+    import cv2
+
+    answer: queue.SimpleQueue[cv2.VideoCapture] = queue.SimpleQueue()
+
+    def ask() -> None:
+        if timeout is None or "://" not in str(camera):
+            answer.put(cv2.VideoCapture(camera))
+            return
+        # this thread then ends before us: one that Python has to end may abort the process
+        most = min(round(900 * timeout), 2**31 - 1)
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, most, cv2.CAP_PROP_READ_TIMEOUT_MSEC, most]
+        answer.put(cv2.VideoCapture(camera, cv2.CAP_ANY, limits))
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        return answer.get(timeout=timeout)
+    except queue.Empty:
+        return None
 
 
 def _timed(source: Iterable[np.ndarray], rate: float) -> Generator[TimedFrame, None, None]:
@@ -243,8 +268,3 @@ def is_live(source: str | Path) -> bool:
     """Return whether the source is a camera (by any name of its device) or an address."""
     name = str(source)
     return name.startswith(("camera:", "/dev/video")) or "://" in name or Path(name).is_char_device()
-
-
-def without_password(source: str) -> str:
-    """Return an address without its ``user:password@``, and any other source unchanged."""
-    return re.sub(r"(?<=://)[^/]*@", "", source)

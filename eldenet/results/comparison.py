@@ -152,7 +152,7 @@ def find_runs(
 def _records_below(source: Path) -> dict[str, dict[str, Any]]:
     """Records of runs by where they stand."""
     if not source.exists():
-        raise FileNotFoundError(f"no such file or folder: {source}")
+        raise FileNotFoundError(f"no such file or folder: {source}: give run folders, or folders of runs")
     found: dict[str, dict[str, Any]] = {}
     packed = [source] if source.name == RUNS else sorted(source.rglob(RUNS))
     for file in packed:

@@ -17,6 +17,7 @@ from eldenet.system.errors import writing
 from eldenet.system.escaping import one_line
 from eldenet.system.files import write_rows
 from eldenet.system.progress import Bar, open_console, progress_bar
+from eldenet.system.terminal import printable
 
 SHORTEST_NAME = 12  # characters of a row's name on a line
 GAP = 2  # between the columns of a table
@@ -60,8 +61,8 @@ class RunLog:
         return self._open
 
     def say(self, text: str) -> None:
-        """Print one line unchanged: brackets are no markup, and long paths are not wrapped."""
-        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+        """Print one line: brackets are no markup, and long paths are not wrapped."""
+        self.console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Write scalars under their names."""
@@ -107,7 +108,7 @@ class RunLog:
         for place in [*core, *(place for place in range(1, len(columns)) if place not in core)]:
             if sum(widths[other] + GAP for other in (*kept, place)) - GAP <= room:
                 kept = sorted([*kept, place])
-        self.console.print(title, highlight=False, markup=False, width=min(self.console.width, 120))
+        self.console.print(one_line(title), highlight=False, markup=False, width=min(self.console.width, 120))
         table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
         for place in kept:
             justify: Any = "right" if place else "left"

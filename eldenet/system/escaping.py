@@ -27,6 +27,10 @@ _LATEX = str.maketrans(
         "²": "$^2$",
     }
 )
+_USER = re.compile(r"(?<=://)(?:[^/\s]*|[^/\s:@]*:(?!\d+/)[^\s@]*)@")  # a password may hold any sign
+_SECRET = re.compile(
+    r"([?&;][^=&\s]*(?:pass|pwd|token|key|secret|auth|sig|cred)[^=&\s]*=)[^&\s]+", re.IGNORECASE
+)
 _FORMULA = tuple("=+-@＝＋－＠")
 _NUMBER = r"[+-]?(?:\d+\.?\d*(?:e[+-]?\d+)?|nan|inf)"
 # what starts like a formula and is none: "-", a number, a difference with its interval
@@ -36,6 +40,11 @@ _FIGURE = re.compile(rf"-|{_NUMBER}(?: \[{_NUMBER}, {_NUMBER}\](?: better| worse
 def one_line(text: str) -> str:
     """Return a text with a space for every line end, control character and invisible sign."""
     return "".join(sign if sign.isprintable() else " " for sign in text)
+
+
+def without_password(text: str) -> str:
+    """Return a text without what addresses in it keep secret: ``user:password@`` and ``?token=...``."""
+    return _SECRET.sub(r"\g<1>...", _USER.sub("", text))
 
 
 def markdown(text: str) -> str:

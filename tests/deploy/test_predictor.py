@@ -2,6 +2,9 @@
 
 import copy
 import math
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -181,3 +184,13 @@ def test_what_is_no_depth_is_refused(answer: np.ndarray, said: str) -> None:
     ):
         with pytest.raises(ValueError, match=said):
             call()
+
+
+def test_a_predictor_can_be_copied_and_sent_to_another_process(model: DepthNet) -> None:
+    predictor = DepthPredictor(model)
+    predictor(photo())  # a video has begun
+    for other in (pickle.loads(pickle.dumps(predictor)), copy.deepcopy(predictor), copy.copy(predictor)):
+        np.testing.assert_array_equal(other(photo()), DepthPredictor(model)(photo()))
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        (depth,) = pool.map(predictor, [photo()])
+    np.testing.assert_allclose(depth, DepthPredictor(model)(photo()), rtol=1e-6)

@@ -1,5 +1,7 @@
 """One network gives the same meters under every runtime; a file describes itself."""
 
+import copy
+import pickle
 from pathlib import Path
 
 import cv2
@@ -245,3 +247,17 @@ def test_a_folder_of_foreign_classes_needs_trust(trained_model, tmp_path: Path) 
         runtimes.load(folder, threads=1)
     with pytest.raises(ValueError, match="tests_foreign"):  # it is looked for now
         runtimes.load(folder, threads=1, trusted_modules=["tests_foreign"])
+
+
+@pytest.mark.parametrize(("file", "runtime"), [("onnx", "onnxruntime"), ("xml", "openvino")])
+def test_a_copy_and_another_process_open_the_file_again(files, images, file: str, runtime: str) -> None:
+    network = runtimes.load(files[file], runtime, threads=1)
+    for other in (pickle.loads(pickle.dumps(network)), copy.deepcopy(network)):
+        np.testing.assert_array_equal(other(images), network(images))
+
+
+def test_a_network_without_a_file_says_how_to_send_it(trained_model: DepthNet) -> None:
+    for runtime in ("torch", "onnxruntime"):
+        network = runtimes.load(trained_model, runtime, threads=1, size=SIZE)
+        with pytest.raises(TypeError, match="this network has no file: write one with eldenet export"):
+            pickle.dumps(network)

@@ -153,7 +153,7 @@ class Capture:
 def test_a_live_source_that_breaks_off_is_reported(
     source: str, announced: int, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Capture(announced))
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *_: Capture(announced))
     with runtimes.DepthStream(source, depth_of) as stream:
         list(stream)
         assert stream.ended_too_soon.startswith(said)

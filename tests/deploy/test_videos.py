@@ -2,7 +2,9 @@
 
 import resource
 import signal
+import socket
 import threading
+import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from support.predicting import exported, listed, photo, run
 from eldenet.deploy import runtimes
 from eldenet.deploy.outputs import to_millimeters
 from eldenet.deploy.predictor import DepthPredictor
-from eldenet.deploy.stream import DepthStream, StreamFrame, without_password
+from eldenet.deploy.stream import DepthStream, StreamFrame
 from eldenet.deploy.video_files import in_time, open_video
 from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
@@ -187,8 +189,8 @@ def test_a_video_is_as_long_as_what_it_shows() -> None:
     def film(*taken: float, rate: float = 10.0) -> list[float]:
         shown: list[np.ndarray] = []
         show = in_time(shown.append, rate)
-        for time in taken:
-            show(np.array(time), time)
+        for one in taken:
+            show(np.array(one), one)
         return [float(picture) for picture in shown]
 
     assert film(*(number / 12 for number in range(9)), rate=12.0) == [number / 12 for number in range(9)]
@@ -196,13 +198,19 @@ def test_a_video_is_as_long_as_what_it_shows() -> None:
     assert film(5.0, 5.01, 5.02, 5.2) == [5.0, 5.02, 5.2]  # faster than the film
 
 
-def test_an_address_is_shown_without_its_password() -> None:
-    assert without_password("rtsp://admin:p@ss:w?rd@10.0.0.1:554/a/b@c") == "rtsp://10.0.0.1:554/a/b@c"
-    for plain in ("camera:0", "rtsp://10.0.0.1/x", "a@b.mp4", "http://host/me@home.mp4"):
-        assert without_password(plain) == plain
+def test_an_address_that_cannot_be_opened_is_named_without_its_password() -> None:
     with pytest.raises(ValueError, match=r"source=file:///nowhere cannot be opened") as error:
         DepthStream("file://me:secret@/nowhere", lambda frame: frame)
     assert "secret" not in str(error.value)
+
+
+def test_an_address_that_never_answers_ends_in_the_timeout() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"127.0.0.1:{silent.getsockname()[1]}"
+        start = time.monotonic()
+        with pytest.raises(ValueError, match=rf"source=rtsp://{address}/a did not answer within 1 s"):
+            DepthStream(f"rtsp://{address}/a", lambda frame: frame, timeout=1.0)
+        assert time.monotonic() - start < 5
 
 
 def test_predict_ends_at_a_camera_that_stalls_and_keeps_what_it_has(

@@ -3,6 +3,7 @@
 ``depth = eldenet.runtimes.load("eldenet.onnx", "openvino", "bf16", threads=2)(images)``
 """
 
+import functools
 import json
 import tempfile
 from collections.abc import Sequence
@@ -106,7 +107,9 @@ def load(
         raise ValueError("int8 needs calibration pictures: export a file (eldenet export)")
     with tempfile.TemporaryDirectory() as folder:
         path = write_onnx(model, Path(folder) / "model.onnx", (size[0], size[1]), metadata=metadata)
-        return _open(path, runtime, precision, threads, device)
+        network = _open(path, runtime, precision, threads, device)
+        network.reopen = None  # the file is gone
+        return network
 
 
 def fastest(
@@ -157,10 +160,14 @@ def check_installed(checkpoint: str, runtime: str) -> None:
 def _open(path: Path, runtime: str, precision: str | None, threads: int, device: str) -> Runtime:
     require(path.name, runtime)
     check_seal(path)
+    network: Runtime
     if runtime == "onnxruntime":
         from eldenet.deploy.runtimes.onnx import OnnxRuntime
 
-        return OnnxRuntime(path, precision=precision, threads=threads, device=device)
-    from eldenet.deploy.runtimes.openvino import OpenvinoRuntime
+        network = OnnxRuntime(path, precision=precision, threads=threads, device=device)
+    else:
+        from eldenet.deploy.runtimes.openvino import OpenvinoRuntime
 
-    return OpenvinoRuntime(path, precision=precision, threads=threads, device=device)
+        network = OpenvinoRuntime(path, precision=precision, threads=threads, device=device)
+    network.reopen = functools.partial(_open, path.absolute(), runtime, precision, threads, device)
+    return network

@@ -1,7 +1,7 @@
 """The base class of all runtimes: images in, meters out."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -48,12 +48,14 @@ class Runtime:
         distribution: of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma.
         params: number of weights, or None.
         gmacs: billions of multiply-adds for one image, or None.
+        reopen: opens its file again; a copy or another process (pickle) does that. None: there is no file.
 
     Raises:
         ValueError: the metadata is damaged.
     """
 
     runtime = ""
+    reopen: Callable[[], "Runtime"] | None = None
 
     def __init__(
         self,
@@ -85,6 +87,12 @@ class Runtime:
             "model_name": self.metadata.get("model"),
         }
         self.info: dict[str, Any] = {key: value for key, value in info.items() if value is not None}
+
+    def __reduce__(self) -> Any:
+        """Return how another process, or a copy, opens the same file."""
+        if self.reopen is None:
+            raise TypeError("this network has no file: write one with eldenet export, and load that")
+        return self.reopen, ()
 
     def _value(self, name: str) -> Any:
         return parse_json(self.metadata.get(name, "null"), name)

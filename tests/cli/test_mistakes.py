@@ -1,0 +1,128 @@
+"""What people mistype most, and the line that each mistake gets: what was given, what is allowed, what to do.
+
+In one process: only what runs no job.
+"""
+
+import importlib
+import os
+from typing import Any
+
+import pytest
+
+from eldenet.cli.commands import module_of
+from eldenet.cli.help import advice, comment_on, quote_paths, wrong_option
+from eldenet.compose import compose
+
+
+def settings_of(command: str) -> Any:
+    """Return the dataclass of a command."""
+    name = f"{command.title().replace('-', '')}Settings"
+    return getattr(importlib.import_module(module_of(command)), name)
+
+
+def answer(line: str) -> str:
+    """Return what a command answers, without running it; "" if it would start."""
+    command, *words = line.split(" ")
+    words, settings = quote_paths(words), settings_of(command)
+    if said := advice(command.replace("-", "_"), words):
+        return said
+    try:
+        compose(settings, [word for word in words if not word.startswith("-")])
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        # a plus and a typo: the same as without the plus
+        ("train +optimiser.lr=0.5", "there is no setting optimiser.lr: did you mean optimizer.lr?"),
+        ("train ++optimizer.Lr=0.5", "there is no setting optimizer.Lr: did you mean optimizer.lr?"),
+        ("train +trainer.epohcs=3", "there is no setting trainer.epohcs: did you mean trainer.epochs?"),
+        ("train -m seed=1,2 +sede=1", "there is no setting sede: did you mean seed?"),
+        ("train data=folder +data.max_dpeth=3", "data.max_dpeth: did you mean data.max_depth?"),
+        ("train --config-dir . +trainer.epohcs=3", "did you mean trainer.epochs?"),
+        ("train +optimizer.amsgrad=true", ""),  # its class takes it
+        ("train +model.mean=[0,0,0] debug=fast", ""),
+        ("train data=folder +data.train.csv=a.csv", ""),
+        ("study study=a +given.mine=/data", ""),
+        # names
+        ("train --config-dir . trainer.epohcs=1", "setting trainer.epohcs: did you mean trainer.epochs?"),
+        ("train epoch=3", "there is no setting epoch: did you mean trainer.epochs?"),
+        ("check-data root=a", "there is no setting root: did you mean data.root"),
+        ("benchmark batch=0", "there is no setting batch: did you mean batches?"),
+        # groups
+        ("train data=nyu", "data=nyu: did you mean nyu_densedepth or nyu_hdf5 or nyu_labelled or nyu_mat or"),
+        ("train optimizer=Adam", "optimizer=Adam: did you mean adam? choose from adam, adam_paper, adamw,"),
+        ("train model=eldenet-s", "model=eldenet-s: did you mean eldenet_s?"),
+        ("train protocol=3", "protocol=3: choose from arenas, "),
+        ("train data=1", "data=1: choose from arenas, "),
+        ("train model=null", "model=null: choose from eldenet, "),
+        ("train debug=fst", "debug=fst: did you mean fast?"),
+        ("train -m data=rooms,nyu", "data=nyu: did you mean"),
+        # words that are no settings
+        ("train trainer.epochs = 3", "trainer.epochs cannot be read: write trainer.epochs=value"),
+        ("train =3", "=3 cannot be read: write setting=value, with the name of a setting"),
+        ("train help", "help cannot be read: write setting=value (--help lists all settings)"),
+        ("train data.input_size=(224,224)", "a list has square brackets, data.input_size=[224,224]"),
+        # sweeps
+        ("train seed=1..3", "seed=1..3: give a whole number; for several runs -m seed=1,2,3"),
+        ("train -m seed=1-3", "seed=1-3: give a whole number; for several runs -m seed=1,2,3"),
+        ("train seed=1,2", "seed=1,2: give one value, a list seed=[1,2], or -m seed=1,2 for a run of each"),
+        # values
+        ("train canonical_focal=518", "canonical_focal=518: give it in widths of the input, 0.1 to 10"),
+        ("train process_timeout=-3", "process_timeout=-3: give seconds above 0"),
+        ("train seed=one", "seed=one: give a whole number"),
+        ("adapt intrinsics=440", "intrinsics=440: give [fx, fy, cx, cy]"),
+        ("adapt minutes=5min", "minutes=5min: give a number"),
+        ("predict source=a focal=26mm", "focal=26mm: give a number or null"),
+        ("predict source=a depth_range=10", "depth_range=10: give [near, far] in meters"),
+        ("predict source=a input_size=640x480", "input_size='640x480': give [height, width] in pixels"),
+        ("predict source=[a,b]", "source=[a,b]: give a text"),
+        ("benchmark models=[eldenet] threads=0", "threads=0: give a list of whole numbers of 1 or more"),
+        ("benchmark models=[eldenet] runtimes=[onnx]", "runtimes='onnx': give one of torch, "),
+        ("demo port=80000", "port=80000: give a number from 0 (any free port) to 65535"),
+        # what is missing
+        ("predict", "give source=... on the command line"),
+        ("evaluate checkpoint=a data=kitti_eigen_raw", "give data.test_list=... on the command line"),
+    ],
+)
+def test_a_mistake_gets_a_line_that_helps(line: str, said: str) -> None:
+    if said:
+        assert said in answer(line)
+    else:
+        assert answer(line) == ""
+
+
+@pytest.mark.parametrize(
+    ("option", "line"),
+    [
+        ("--epochs=3", "--epochs=3: settings have no dashes, and there is no setting epochs: did you mean"),
+        ("-epochs", "-epochs: settings have no dashes, and there is no setting epochs: did you mean"),
+        ("--seed", "--seed: settings have no dashes, write seed=value"),
+        ("--help-me", "unrecognized arguments: --help-me (--help shows what there is)"),
+    ],
+)
+def test_an_option_that_is_a_setting_is_named_without_its_dashes(option: str, line: str) -> None:
+    assert wrong_option("train", f"unrecognized arguments: {option} 3").startswith(line.partition(" (")[0])
+
+
+def test_a_missing_setting_is_described_as_in_the_help() -> None:
+    assert comment_on(settings_of("predict"), "source").startswith("a picture, a folder of pictures")
+    assert comment_on(settings_of("train"), "data.test_list").startswith("your list of the test frames")
+
+
+def test_the_home_folder_is_written_out_where_no_shell_does_it() -> None:
+    home = os.path.expanduser("~")
+    given = ["data.root=~/mine", "runs=[~/a,~/b]", 'source="~/a b"', "~data", "x=a~b"]
+    meant = [f"data.root={home}/mine", f"runs=[{home}/a,{home}/b]", f'source="{home}/a b"', "~data", "x=a~b"]
+    assert quote_paths(given) == meant
+
+
+def test_a_part_is_chosen_with_a_slash() -> None:
+    from eldenet.configurable import check_arguments
+    from eldenet.model import DepthNet
+
+    with pytest.raises(ValueError, match="a slash chooses it from its group, as in model/backbone=resnet18"):
+        check_arguments(DepthNet.from_parts, {"backbone": "resnet18"}, "model.")
