@@ -1,8 +1,9 @@
 """The base classes of all data sets: frames in, samples out, seeded per sample."""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from copy import copy
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import Self, TypedDict, Unpack
 
 import numpy as np
 import torch
@@ -70,6 +71,7 @@ class DepthDataset(Dataset[DepthSample]):
     ground_truth = "raw"
     depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
+    is_raw = False
     class_names: tuple[str, ...] = ()  # of the semantic labels, by number; empty if none are read
 
     def __init__(
@@ -201,11 +203,25 @@ class DepthDataset(Dataset[DepthSample]):
             frame = self.read_ready(index)
         else:
             frame = self._cache.frame(index, self.names[index], self.frame_files, self.read_ready)
+        generator = np.random.default_rng((self.seed, epoch, index))
+        if self.is_raw:
+            from eldenet.data.device_augmentation import raw_sample  # which imports this module
+
+            return raw_sample(self, frame, generator)
         if self.transform is not None:
-            frame = self.transform(frame, np.random.default_rng((self.seed, epoch, index)))
+            frame = self.transform(frame, generator)
         if self.input_size is not None:
-            frame = self._resized(frame, self.input_size)
+            frame = self.resized(frame, self.input_size)
         return to_sample(frame, self.min_depth, self.max_depth)
+
+    def raw(self) -> Self:
+        """Return the same data set with samples that a device has yet to augment.
+
+        See :func:`~eldenet.data.device_augmentation.raw_sample`.
+        """
+        raw = copy(self)
+        raw.is_raw = True
+        return raw
 
     def open_cache(self) -> None:
         """Open the frame cache, if ``cache`` asks for one; call it before starting workers that share it.
@@ -221,9 +237,10 @@ class DepthDataset(Dataset[DepthSample]):
     def read_ready(self, index: int) -> Frame:
         """Read frame ``index`` from its files and resize it to ``resize_on_load``: what a cache stores."""
         frame = self.read_frame(index)
-        return frame if self.resize_on_load is None else self._resized(frame, self.resize_on_load)
+        return frame if self.resize_on_load is None else self.resized(frame, self.resize_on_load)
 
-    def _resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
+    def resized(self, frame: Frame, size: tuple[int, int]) -> Frame:
+        """Resize a frame to ``(height, width)`` [px] as its ground truth needs it."""
         sparse = self.ground_truth in SPARSE
         return resize_frame(frame, size, resize_depth=self.resize_depth, sparse=sparse)
 

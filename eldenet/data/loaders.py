@@ -6,9 +6,11 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.utils._pytree import tree_map_only
 from torch.utils.data import DataLoader, Sampler, default_collate
 
 from eldenet.data.base import DepthDataset
+from eldenet.data.device_augmentation import augment, leave_out_idle
 from eldenet.data.workers import worker_options
 from eldenet.system.resources import available_memory
 from eldenet.types import DepthSample
@@ -69,7 +71,10 @@ def collate(samples: list[DepthSample]) -> dict[str, object]:
             f"frames of different sizes in one training batch ({names}, ...: {sorted(sizes)}): set "
             "data.input_size"
         )
-    return default_collate(samples)
+    batch = default_collate(samples)
+    if "augmentation" in batch:
+        batch["augmentation"] = leave_out_idle(batch["augmentation"])
+    return batch
 
 
 def collate_runs(samples: list[DepthSample]) -> list[dict[str, object]]:
@@ -102,15 +107,19 @@ class Loader(DataLoader):
 
 
 def training_loader(
-    dataset: DepthDataset, sampler: EpochSampler, *, workers: int = 0, pin_memory: bool = False
+    dataset: DepthDataset, sampler: EpochSampler, *, workers: int = 0, device: str = "cpu"
 ) -> DataLoader:
-    """Return a loader in the order of ``sampler``; set its ``epoch`` and ``start`` before each epoch."""
+    """Return a loader in the order of ``sampler``; set its ``epoch`` and ``start`` before each epoch.
+
+    For a ``device`` other than the CPU, its batches are raw, in pinned memory: :func:`batches_on` makes them
+    whole.
+    """
     dataset.open_cache()
     return Loader(
-        dataset,
+        dataset if device == "cpu" else dataset.raw(),
         batch_sampler=sampler,
         collate_fn=collate,
-        pin_memory=pin_memory,
+        pin_memory=device == "cuda",
         **worker_options(workers),
     )
 
@@ -130,12 +139,42 @@ def evaluation_loader(
     return Loader(dataset, batch_sampler=batches, collate_fn=collate_runs, **options)
 
 
+def batches_on(device: torch.device, loader: DataLoader, *, channels_last: bool) -> Iterator[dict[str, Any]]:
+    """Yield the batches of a loader on ``device``, augmented, images in the memory layout of the weights.
+
+    On CUDA the next batch is copied and augmented beside the computation with this one.
+    """
+    if device.type != "cuda":
+        for batch in loader:
+            yield to_device(batch, device, channels_last=channels_last)
+        return
+    beside, waiting = torch.cuda.Stream(device), None
+    for batch in loader:
+        with torch.cuda.stream(beside):
+            moved = to_device(batch, device, channels_last=channels_last)
+            copied = beside.record_event()
+        if waiting is not None:
+            yield _ready(*waiting)
+        waiting = moved, copied
+    if waiting is not None:
+        yield _ready(*waiting)
+
+
+def _ready(batch: dict[str, Any], copied: torch.cuda.Event) -> dict[str, Any]:
+    """Let what follows wait for the batch, on the GPU."""
+    stream = torch.cuda.current_stream()
+    stream.wait_event(copied)
+    for value in batch.values():
+        if isinstance(value, Tensor):
+            value.record_stream(stream)  # its memory is free once this stream is done with it
+    return batch
+
+
 def to_device(batch: Mapping[str, Any], device: torch.device, *, channels_last: bool) -> dict[str, Any]:
-    """Move the tensors of a batch to ``device``, images in the memory layout of the network's weights."""
+    """Move a batch to ``device`` and augment it there if it is raw; images get the layout of the weights."""
+    moved = tree_map_only(Tensor, lambda value: value.to(device, non_blocking=True), dict(batch))
+    if "augmentation" in moved:
+        moved = augment(moved)
     layout = torch.channels_last if channels_last else torch.contiguous_format
-    moved = {
-        name: value.to(device, non_blocking=True) if isinstance(value, Tensor) else value
-        for name, value in batch.items()
-    }
     moved["image"] = moved["image"].contiguous(memory_format=layout)
     return moved

@@ -1,9 +1,9 @@
 """``mix``: several data sets in one training, drawn by weight."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Self, Unpack
 
 import numpy as np
 import torch
@@ -110,6 +110,14 @@ class Mix(DepthDataset):
         which = int(np.searchsorted(self._ends, index, side="right"))
         part = list(self.sources.values())[which].frames
         return part, index - int(self._ends[which]) + len(part)
+
+    def raw(self) -> Self:
+        """Return the same mix of raw sources."""
+        raw = super().raw()
+        raw.sources = {
+            name: replace(source, frames=source.frames.raw()) for name, source in self.sources.items()
+        }
+        return raw
 
     def open_cache(self) -> None:
         """Open the cache of every source."""

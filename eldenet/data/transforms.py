@@ -3,7 +3,7 @@
 import os
 import random
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,27 @@ from eldenet.data.resize_crop import check_same_size
 from eldenet.geometry import BORDER_COLOR
 from eldenet.system.checks import one_of
 from eldenet.types import Frame
+
+IDENTITY = np.eye(2, 3)
+Drawn = tuple[Any, dict[str, Any]]
+
+
+class Change(NamedTuple):
+    """What an :class:`Augmentation` drew for a frame; by default nothing.
+
+    Attributes:
+        intrinsics: ``(3, 3)`` of the moved picture [px], None if unknown.
+        matrix: ``(2, 3)``, how the picture moves [px].
+        nearer: depth is divided by it.
+        geometry: transforms of albumentations that move the picture, and what each drew.
+        color: the same, of those that recolor it.
+    """
+
+    intrinsics: np.ndarray | None
+    matrix: np.ndarray = IDENTITY
+    nearer: float = 1.0
+    geometry: Sequence[Drawn] = ()
+    color: Sequence[Drawn] = ()
 
 
 class Augmentation:
@@ -88,9 +109,9 @@ class Augmentation:
             )
 
         A = _albumentations()
-        geometry: list[Any] = [A.HorizontalFlip(p=flip)] if flip else []
+        self.geometry: list[Any] = [A.HorizontalFlip(p=flip)] if flip else []
         if affine:
-            geometry.append(
+            self.geometry.append(
                 A.Affine(
                     scale=(low, high),
                     keep_ratio=True,
@@ -102,23 +123,19 @@ class Augmentation:
                     p=affine,
                 )
             )
-        color: list[Any] = []
+        self.color: list[Any] = []
         if brightness_contrast:
-            color.append(
+            self.color.append(
                 A.RandomBrightnessContrast(
                     brightness_limit=brightness, contrast_limit=contrast, p=brightness_contrast
                 )
             )
         if color_jitter:
             spread = (1.0 - jitter, 1.0 + jitter)
-            color.append(A.ColorJitter(spread, spread, spread, hue=(-jitter_hue, jitter_hue), p=color_jitter))
+            hues = (-jitter_hue, jitter_hue)
+            self.color.append(A.ColorJitter(spread, spread, spread, hue=hues, p=color_jitter))
         if hue_saturation:
-            color.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
-        points = A.KeypointParams(format="xy", remove_invisible=False)
-        # two passes: the keypoints that carry the geometry need not go through the color changes
-        along: dict[str, Any] = {"keypoint_params": points, "additional_targets": {"labels": "mask"}}
-        self.geometry = A.Compose(geometry, **along) if geometry else None
-        self.color = A.Compose(color) if color else None
+            self.color.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
 
     def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
         """Augment one frame; see :class:`Augmentation`.
@@ -126,43 +143,78 @@ class Augmentation:
         Raises:
             ValueError: image and depth differ in size.
         """
-        image, depth, intrinsics, name, labels = frame
+        change = self.draw(frame, generator)
+        image, depth, _, name, labels = frame
+        for transform, drawn in change.geometry:
+            image = np.ascontiguousarray(transform.apply(image, **drawn))
+            depth = np.ascontiguousarray(transform.apply_to_mask(depth, **drawn))
+            if labels is not None:
+                # class 255 becomes 0 meanwhile, which is also the value from beyond the border
+                moved = transform.apply_to_mask(labels + np.uint8(1), **drawn)
+                labels = np.ascontiguousarray(moved) - np.uint8(1)
+        for transform, drawn in change.color:
+            image = transform.apply(image, **drawn)
+        if change.nearer != 1:
+            depth = depth / np.float32(change.nearer)
+        return Frame(image, depth, change.intrinsics, name, labels)
+
+    def draw(self, frame: Frame, generator: np.random.Generator) -> Change:
+        """Draw what happens to a frame.
+
+        Raises:
+            ValueError: image and depth differ in size.
+        """
         check_same_size(frame)
         # a shared state, as Compose.set_random_seed would seed all transforms alike, so that one draw
         # would decide on flip, affine and color alike
         chance = random.Random(int(generator.integers(2**63)))
-        if self.geometry is not None:
-            self.geometry.set_random_state(generator, chance)
-            height, width = depth.shape
+        height, width = frame.depth.shape
+        geometry = _drawn(self.geometry, (height, width), generator, chance)
+        color = _drawn(self.color, (height, width), generator, chance)
+        matrix, nearer, intrinsics = IDENTITY, 1.0, frame.intrinsics
+        if self.geometry:
             corners = np.array([[0, 0], [width, 0], [0, height]], dtype=np.float32)
-            # class 255 becomes 0 meanwhile, which is also the value from beyond the border
-            classes = {} if labels is None else {"labels": labels + np.uint8(1)}
-            moved = self.geometry(image=image, mask=depth, keypoints=corners, **classes)
-            image, depth = moved["image"], moved["mask"]
-            if labels is not None:
-                labels = moved["labels"] - np.uint8(1)
-            matrix = _affine_through(corners, np.asarray(moved["keypoints"], dtype=np.float64))
-            depth, intrinsics = self._move_camera(depth, intrinsics, matrix)
-        if self.color is not None:
-            self.color.set_random_state(generator, chance)
-            image = self.color(image=image)["image"]
-        return Frame(image, depth, intrinsics, name, labels)
+            points = np.pad(corners, ((0, 0), (0, 3)))  # albumentations' keypoints
+            for transform, drawn in geometry:
+                points = transform.apply_to_keypoints(points, **drawn)
+            moved = np.asarray(points[:, :2], dtype=np.float64)
+            matrix = _affine_through(corners, moved)
+            nearer, intrinsics = self._move_camera(intrinsics, matrix)
+        return Change(intrinsics, matrix if geometry else IDENTITY, nearer, geometry, color)
 
     def _move_camera(
-        self, depth: np.ndarray, intrinsics: np.ndarray | None, matrix: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return depth and intrinsics of a picture moved by ``matrix (2, 3)`` [px]."""
+        self, intrinsics: np.ndarray | None, matrix: np.ndarray
+    ) -> tuple[float, np.ndarray | None]:
+        """Return how much nearer a picture moved by ``matrix (2, 3)`` [px] is, and its intrinsics."""
         zoom = float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
         zoom = zoom if abs(zoom - 1.0) > 1e-5 else 1.0  # below that, it is rounding of float32 keypoints
         longer = zoom if self.zoom == "focal" and intrinsics is not None else 1.0
-        if zoom != longer:
-            depth = depth / np.float32(zoom)
         if intrinsics is not None:
             moved = np.array(intrinsics, dtype=np.float64)
             moved[:2, :2] *= longer
             moved[:2, 2] = matrix @ np.array([intrinsics[0, 2], intrinsics[1, 2], 1.0])
             intrinsics = moved
-        return depth, intrinsics
+        return zoom if zoom != longer else 1.0, intrinsics
+
+
+def _drawn(
+    transforms: Sequence[Any],
+    size: tuple[int, int],
+    generator: np.random.Generator,
+    chance: random.Random,
+) -> list[Drawn]:
+    """Return those of albumentations' transforms that take place, and the parameters that each draws."""
+    if transforms:
+        chance.random()  # albumentations' Compose, which earlier versions called, drew it too
+    any_image = {"image": np.broadcast_to(np.uint8(0), (*size, 3))}
+    drawn = []
+    for transform in transforms:
+        transform.set_random_state(generator, chance)
+        if transform.should_apply():
+            parameters = transform.update_transform_params(transform.get_params(), any_image)
+            parameters |= transform.get_params_dependent_on_data(parameters, any_image)
+            drawn.append((transform, parameters))
+    return drawn
 
 
 def _albumentations() -> Any:

@@ -49,7 +49,8 @@ class GraphedStep:
             for group in self.groups:
                 group["capturable"] = True
             self.graph = torch.cuda.CUDAGraph()
-            with torch.cuda.graph(self.graph, stream=self.stream):
+            # the loader's thread may pin memory meanwhile
+            with torch.cuda.graph(self.graph, stream=self.stream, capture_error_mode="thread_local"):
                 self.terms = self.step(batch | self.batch)
         elif _shapes(tensors) != _shapes(self.batch):
             return self._beside(batch)

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from eldenet.data.base import DepthDataset
-from eldenet.data.loaders import EpochSampler, evaluation_loader, to_device, training_loader
+from eldenet.data.loaders import EpochSampler, batches_on, evaluation_loader, training_loader
 from eldenet.evaluation.evaluator import evaluate_batches, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
@@ -227,11 +227,12 @@ class Trainer:
             batches * self.batch_size,
             progress.batch * self.batch_size,
         ) as bar:
-            for batch in timed(self.loader, progress):
+            device = self.accelerator.device
+            batches_here = batches_on(device, self.loader, channels_last=self.channels_last)
+            for batch in timed(batches_here, progress):
                 started = time.monotonic()
                 progress.batch += 1
                 update = progress.batch % self.accumulate_grad_batches == 0 or progress.batch == batches
-                batch = to_device(batch, self.accelerator.device, channels_last=self.channels_last)
                 terms = self.train_step(batch, update=update) if self.graph is None else self.graph(batch)
                 self.meter.add(progress.step, terms | {BLANK: ~batch["mask"].any()})
                 if update:
@@ -374,7 +375,7 @@ class Trainer:
             model.to(memory_format=torch.channels_last)
         self.frozen = frozen_parts(model, self.freeze)
         self.loader = training_loader(
-            self.train_set, self.sampler, workers=resources.workers, pin_memory=resources.device == "cuda"
+            self.train_set, self.sampler, workers=resources.workers, device=resources.device
         )
         self.val_loader = evaluation_loader(
             self.val_set,
