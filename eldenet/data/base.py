@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
 from pathlib import Path
-from typing import Self, TypedDict, Unpack
+from typing import Any, Self, TypedDict, Unpack
 
 import numpy as np
 import torch
@@ -71,7 +71,7 @@ class DepthDataset(Dataset[DepthSample]):
     ground_truth = "raw"
     depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
-    is_raw = False
+    make_sample: Callable[[Any, Frame, np.random.Generator], DepthSample] | None = None
     class_names: tuple[str, ...] = ()  # of the semantic labels, by number; empty if none are read
 
     def __init__(
@@ -204,24 +204,19 @@ class DepthDataset(Dataset[DepthSample]):
         else:
             frame = self._cache.frame(index, self.names[index], self.frame_files, self.read_ready)
         generator = np.random.default_rng((self.seed, epoch, index))
-        if self.is_raw:
-            from eldenet.data.device_augmentation import raw_sample  # which imports this module
-
-            return raw_sample(self, frame, generator)
+        if self.make_sample is not None:
+            return self.make_sample(self, frame, generator)
         if self.transform is not None:
             frame = self.transform(frame, generator)
         if self.input_size is not None:
             frame = self.resized(frame, self.input_size)
         return to_sample(frame, self.min_depth, self.max_depth)
 
-    def raw(self) -> Self:
-        """Return the same data set with samples that a device has yet to augment.
-
-        See :func:`~eldenet.data.device_augmentation.raw_sample`.
-        """
-        raw = copy(self)
-        raw.is_raw = True
-        return raw
+    def with_samples(self, make_sample: Callable[[Any, Frame, np.random.Generator], DepthSample]) -> Self:
+        """Return the same data set; ``make_sample(dataset, frame, generator)`` makes its samples."""
+        other = copy(self)
+        other.make_sample = make_sample
+        return other
 
     def open_cache(self) -> None:
         """Open the frame cache, if ``cache`` asks for one; call it before starting workers that share it.

@@ -10,7 +10,7 @@ from torch.utils._pytree import tree_map_only
 from torch.utils.data import DataLoader, Sampler, default_collate
 
 from eldenet.data.base import DepthDataset
-from eldenet.data.device_augmentation import augment, leave_out_idle
+from eldenet.data.device_augmentation import augment, leave_out_idle, raw_sample
 from eldenet.data.workers import worker_options
 from eldenet.system.resources import available_memory
 from eldenet.types import DepthSample
@@ -116,7 +116,7 @@ def training_loader(
     """
     dataset.open_cache()
     return Loader(
-        dataset if device == "cpu" else dataset.raw(),
+        dataset if device == "cpu" else dataset.with_samples(raw_sample),
         batch_sampler=sampler,
         collate_fn=collate,
         pin_memory=device == "cuda",

@@ -111,13 +111,14 @@ class Mix(DepthDataset):
         part = list(self.sources.values())[which].frames
         return part, index - int(self._ends[which]) + len(part)
 
-    def raw(self) -> Self:
-        """Return the same mix of raw sources."""
-        raw = super().raw()
-        raw.sources = {
-            name: replace(source, frames=source.frames.raw()) for name, source in self.sources.items()
+    def with_samples(self, make_sample: Callable[[Any, Frame, np.random.Generator], DepthSample]) -> Self:
+        """Return the same mix with other samples of its sources."""
+        other = super().with_samples(make_sample)
+        other.sources = {
+            name: replace(source, frames=source.frames.with_samples(make_sample))
+            for name, source in self.sources.items()
         }
-        return raw
+        return other
 
     def open_cache(self) -> None:
         """Open the cache of every source."""

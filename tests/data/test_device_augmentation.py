@@ -9,6 +9,7 @@ from support.synthetic import SyntheticDepth
 from support.training import TWO_WORKERS, Stopped, digest, fit, make_trainer, stopping_at
 
 from eldenet.data.base import Compose, DepthDataset
+from eldenet.data.device_augmentation import raw_sample
 from eldenet.data.loaders import collate, to_device, training_loader
 from eldenet.data.mix import Mix
 from eldenet.data.resize_crop import ResizeCrop
@@ -40,7 +41,7 @@ def both(data: DepthDataset) -> tuple[dict, dict]:
     """The batch of all frames of epoch 3, augmented by workers and on the device."""
     keys = [(3, index) for index in range(len(data))]
     here = collate([data[key] for key in keys])
-    raw = data.raw()
+    raw = data.with_samples(raw_sample)
     samples = [raw[key] for key in keys]
     assert samples[0]["image"].dtype == torch.uint8
     there = to_device(collate(samples), torch.device("cpu"), channels_last=True)
