@@ -1,13 +1,17 @@
 """The wheel holds all it needs."""
 
 import os
+import shutil
 import subprocess
 import sys
+import tomllib
 import venv
 import zipfile
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -41,20 +45,80 @@ def test_the_wheel_holds_code_configs_and_nothing_else(wheel):
     assert [name for name in names if name.endswith(".jpg")] == ["eldenet/web/example.jpg"]  # MIT
 
 
-def test_an_unpacked_wheel_runs_from_another_folder(wheel, tmp_path):
-    site = tmp_path / "site"
-    zipfile.ZipFile(wheel).extractall(site)
-    (tmp_path / "elsewhere").mkdir()
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory) -> Path:
+    """Scripts of a fresh environment: the wheel, and what ``pip install .`` brings with it, nothing else."""
+    folder = tmp_path_factory.mktemp("fresh")
+    venv.create(folder, with_pip=False)
+    (site,) = folder.glob("lib/python3.*/site-packages")
+    todo = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["dependencies"]
+    seen = set()
+    while todo:
+        need = Requirement(todo.pop())
+        if need.name in seen or not (need.marker is None or need.marker.evaluate({"extra": ""})):
+            continue
+        seen.add(need.name)
+        try:
+            found = distribution(need.name)
+        except PackageNotFoundError:  # torch's libraries for a GPU
+            continue
+        todo += found.requires or []
+        for part in {file.parts[0] for file in found.files or ()} - {"..", "__pycache__"}:
+            if not (site / part).exists():
+                (site / part).symlink_to(Path(str(found.locate_file(part))))
+    pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin" / "python"), "install"]
+    subprocess.run([*pip, "--quiet", "--no-deps", "--no-index", str(wheel)], check=True, timeout=120)
+    return folder / "bin"
 
-    def printed(*arguments: str) -> str:
-        options = {"cwd": tmp_path / "elsewhere", "env": {**os.environ, "PYTHONPATH": str(site)}}
-        return subprocess.run(
-            [sys.executable, *arguments], capture_output=True, text=True, check=True, **options
-        ).stdout
 
-    where = printed("-c", "from eldenet.compose import config_folder; print(config_folder())")
-    assert where.strip() == str(site / "eldenet" / "configs")
-    assert "eldenet.backbones.pplcnet.PPLCNet" in printed("-m", "eldenet.train", "--cfg", "job")
+def in_fresh(command: list[str | Path], folder: Path) -> subprocess.CompletedProcess:
+    """What a command of the fresh environment prints, in an empty folder."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, check=False)
+
+
+def test_the_installed_wheel_predicts_with_what_it_brings(installed, tmp_path):
+    shutil.copy(REPOSITORY / "web" / "example.jpg", tmp_path)
+    ran = in_fresh(
+        [installed / "eldenet", "predict", "source=example.jpg", "focal=440", "output=out"], tmp_path
+    )
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "example_color.png", "example_depth.png"
+    ]  # fmt: skip
+    code = (
+        "import eldenet; print(eldenet.__file__); eldenet.estimate('example.jpg', focal=440).save('python'); "
+        "print(eldenet.compose.config_folder())"
+    )
+    ran = in_fresh([installed / "python", "-c", code], tmp_path)
+    package = next(installed.parent.glob("lib/*/site-packages")) / "eldenet"
+    assert ran.stdout.splitlines() == [str(package / "__init__.py"), str(package / "configs")], ran.stderr
+    depths = [(tmp_path / folder / "example_depth.png").read_bytes() for folder in ("out", "python")]
+    assert depths[0] == depths[1]
+    ran = in_fresh([installed / "eldenet", "train", "--cfg", "job"], tmp_path)
+    assert "eldenet.backbones.pplcnet.PPLCNet" in ran.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "missing", "extra"),
+    [
+        (["demo"], "onnx, onnxscript", "deploy"),
+        (["export", "checkpoint=eldenet_indoor"], "onnx, onnxscript", "deploy"),
+        (["benchmark", "models=[eldenet]"], "matplotlib", "plots"),
+        (["predict", "source=camera:0"], "av", "video"),
+        (["predict", "source=example.jpg", "viewer=rerun"], "rerun", "viewer"),
+        (["train", "model=seresnet18_upconv"], "timm", "timm"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_what_an_extra_brings_is_named_before_torch_loads(installed, tmp_path, command, missing, extra):
+    shutil.copy(REPOSITORY / "web" / "example.jpg", tmp_path)
+    (tmp_path / "torch.py").write_text("raise SystemExit('torch was loaded')")
+    run = [installed / "python", "-m", "eldenet", *command]
+    ran = in_fresh(run, tmp_path)
+    (line,) = ran.stderr.splitlines()
+    assert ran.returncode == 1
+    assert line.endswith(f" needs {missing}: pip install -e '.[{extra}]'"), line
 
 
 @pytest.mark.net

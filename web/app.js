@@ -18,7 +18,7 @@ export const state = {
 let source = 0; // number of the source that runs; another one ends its loop
 let waiting = null;
 
-worker.onmessage = ({ data }) => waiting?.(data);
+worker.onmessage = ({ data }) => (data.loading ? say(`loading the network: ${data.loading}`) : waiting?.(data));
 worker.onerror = () => waiting?.({ error: "the network did not load: this browser lacks modules or WebAssembly" });
 const answer = () => new Promise((resolve) => (waiting = resolve));
 

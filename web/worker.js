@@ -5,7 +5,6 @@ import { cutOut, prepare } from "./depth.js";
 
 const MOST_THREADS = 4;
 const threads = self.crossOriginIsolated ? Math.min(MOST_THREADS, navigator.hardwareConcurrency || 1) : 1;
-ort.env.wasm.wasmPaths = { wasm: new URL("./runtime/ort-wasm-simd-threaded.wasm", import.meta.url).href };
 ort.env.wasm.numThreads = threads;
 
 const started = start();
@@ -16,9 +15,35 @@ started.then(
 
 async function start() {
   const network = await (await fetch("./network.json")).json();
-  const model = await (await fetch("./network.onnx")).arrayBuffer();
+  const [model, wasm] = await load("./network.onnx", "./runtime/ort-wasm-simd-threaded.wasm");
+  ort.env.wasm.wasmBinary = wasm;
   const session = await ort.InferenceSession.create(model, { executionProviders: ["wasm"] });
   return { network, session };
+}
+
+// The bytes of files; says how many megabytes have come.
+async function load(...names) {
+  const answers = await Promise.all(names.map((name) => fetch(name)));
+  const failed = answers.find((answer) => !answer.ok);
+  if (failed) throw new Error(`${failed.url} gives ${failed.status}`);
+  // a compressed file does not say how long it is
+  const sizes = answers.map(({ headers }) => (headers.has("Content-Encoding") ? NaN : +headers.get("Content-Length")));
+  const whole = sizes.reduce((sum, size) => sum + size, 0);
+  let [come, said] = [0, -1];
+  const read = async (answer) => {
+    const [reader, parts] = [answer.body.getReader(), []];
+    for (let next = await reader.read(); !next.done; next = await reader.read()) {
+      parts.push(next.value);
+      come += next.value.length;
+      const megabytes = Math.round(come / 1e6);
+      if (megabytes !== said) {
+        said = megabytes;
+        self.postMessage({ loading: `${megabytes}${whole > 0 ? ` of ${Math.round(whole / 1e6)}` : ""} MB` });
+      }
+    }
+    return new Uint8Array(await new Blob(parts).arrayBuffer());
+  };
+  return Promise.all(answers.map(read));
 }
 
 // In: a frame {data, width, height}. Out: its depth map of the canonical camera, the network's milliseconds and

@@ -2,6 +2,7 @@
 
 import base64
 import http.client
+import re
 import shutil
 import threading
 import time
@@ -229,6 +230,34 @@ def test_nothing_leaves_the_machine_and_threads_are_allowed(page, address, tmp_p
     assert page.evaluate("crossOriginIsolated")
     refused = page.evaluate("fetch('https://example.org').then(() => 'sent', () => 'refused')")
     assert refused == "refused"  # by the page's own policy, before anything is sent
+
+
+def test_the_page_of_the_documentation_gives_what_python_gives(browser, address, page_folder, predictor):
+    text = (Path(__file__).parents[2] / "docs" / "demo.md").read_text()
+    (page_folder / "own.html").write_text(text.partition("```html\n")[2].partition("```")[0])
+    frame = cv2.imread(str(page_folder / "example.jpg"))[..., ::-1]
+    depth = predictor(np.ascontiguousarray(frame), focal=440)
+    with browser.new_context() as context:
+        page = context.new_page()
+        page.goto(f"{address}own.html")
+        page.wait_for_selector("text=/^\\d+\\.\\d+ m$/", timeout=60_000)
+        found = float(page.inner_text("#answer").removesuffix(" m"))
+    assert found == pytest.approx(depth[depth.shape[0] // 2, depth.shape[1] // 2], abs=TOLERANCE)
+
+
+def test_loading_says_how_far_it_is(browser, address):
+    with browser.new_context() as context:
+        page = context.new_page()
+        page.add_init_script(
+            "document.addEventListener('DOMContentLoaded', () => { window.said = []; new MutationObserver("
+            "() => said.push(document.getElementById('status').textContent))"
+            ".observe(document.getElementById('status'), { childList: true }); })"
+        )
+        opened(page, address)
+        said = page.evaluate("said")
+    shares = [re.fullmatch(r"loading the network: (\d+) of (\d+) MB", text) for text in said]
+    come, whole = map(int, [share for share in shares if share][-1].groups())
+    assert come == whole > 10
 
 
 def test_what_is_no_picture_gets_one_line(page, tmp_path):
