@@ -41,6 +41,7 @@ class AdaptSettings:
     camera_pitch: float | None = None
     source: str | None = None  # with camera_height: a folder of pictures, or a video
     frames: int = 200  # with camera_height: largest number of frames to use
+    force: bool = False  # take a factor of the depth above 3 or below 1/3, which is nearly always a mistake
     seed: int = 0
     trusted_modules: Any = field(default_factory=list)  # packages whose classes foreign weights may name
     output: str = "runs/adapt-${now:%Y%m%d-%H%M%S}"  # folder for the results

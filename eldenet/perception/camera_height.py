@@ -24,7 +24,15 @@ from eldenet.geometry import (
     resize_image,
 )
 from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
-from eldenet.results.before_after import check_scale, compare, panel_size, record_change, say_changes
+from eldenet.results.before_after import (
+    check_scale,
+    compare,
+    panel_size,
+    record_change,
+    refuse_copies,
+    say_changes,
+    thumbnail,
+)
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
 from eldenet.system.resources import Resources
@@ -57,7 +65,8 @@ def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Res
         resources: device, threads.
 
     Raises:
-        ValueError: too few frames show a floor, or the factor of its depth is not plausible.
+        ValueError: too few frames show a floor, the held-out ones are copies of others, or the factor of its
+            depth is not plausible.
     """
     start = eldenet.load(s["weights"], trusted_modules=listed(s["trusted_modules"]))
     log, known_pitch = RunLog(folder), s["camera_pitch"] is not None
@@ -66,12 +75,15 @@ def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Res
     floors_of = Floors(
         level_camera(intrinsic_matrix(s["intrinsics"]), pitch), s["camera_height"], known_pitch
     )
-    names, values, shown = measure_floors(source, predictor, floors_of, s["frames"], log)
+    names, values, shown, thumbnails = measure_floors(source, predictor, floors_of, s["frames"], log)
     refuse_few(values)
     held, fitted = hold_out_floors(values, s["seed"])
+    refuse_copies([thumbnails[i] for i in held], [thumbnails[i] for i in fitted])
     floors = float(np.nanmedian(values[fitted]))
     check_scale(
-        float(np.exp(floors)), "camera_height [m], camera_pitch [degrees], intrinsics [px] and weights"
+        float(np.exp(floors)),
+        "camera_height [m], camera_pitch [degrees], intrinsics [px] and weights",
+        force=s["force"],
     )
     scale = scale_of_all(floors, known_pitch=known_pitch)
     before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
@@ -106,25 +118,27 @@ class Floors(NamedTuple):
 
 def measure_floors(
     source: Source, predictor: DepthPredictor, floors: Floors, most: int, log: RunLog
-) -> tuple[list[str], np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-    """Return names and log scales ``(N,)`` of the frames, and photo and depth [m] of ``SHOWN`` of them."""
+) -> tuple[list[str], np.ndarray, list[tuple[np.ndarray, np.ndarray]], list[np.ndarray]]:
+    """Return names and log scales ``(N,)`` of the frames, ``SHOWN`` with depth [m], and all thumbnails."""
     camera = floors.camera
     predict = for_camera(predictor, camera.intrinsics)
     names: list[str] = []
     values: list[float] = []
     shown: list[tuple[np.ndarray, np.ndarray]] = []
+    thumbnails: list[np.ndarray] = []
     pictures, total = frames_of(source, most)
     with log.bar("floors", total) as bar:
         for name, photo in pictures:
             check_intrinsics(camera.intrinsics, photo.shape[:2])
             depth = predict(photo)
             names.append(name)
+            thumbnails.append(thumbnail(photo))
             values.append(log_scale(depth, camera, floors.height, known_pitch=floors.known_pitch))
             if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
                 size = panel_size(photo)
                 shown.append((resize_image(photo, size), enlarged(depth, size)))
             bar.advance(1)
-    return names, np.array(values), shown
+    return names, np.array(values), shown, thumbnails
 
 
 def frames_of(source: Source, most: int) -> tuple[Iterator[tuple[str, np.ndarray]], int]:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 BLOCKS = 5
 #: A greater factor, or a smaller one than its inverse, is a mistake in what was given.
 MAX_SCALE = 3.0
+SAME_LEVELS = 2  # of 255, by which thumbnails of one scene may differ at most
 PICTURE_HEIGHT = 240  # [px] of a panel of before_after.png
 #: Facts about weights that a change makes untrue.
 MEASURED = ("test", "delta1", "abs_rel", "rmse")
@@ -71,12 +72,33 @@ def compare(metric: str, before: Sequence[float], after: Sequence[float]) -> Cha
     return Change(metric, float(one.mean()), float(other.mean()), low, high, len(one))
 
 
-def check_scale(scale: float, settings: str) -> None:
+def check_scale(scale: float, settings: str, *, force: bool = False) -> None:
     """Raise ValueError for a factor that no camera needs, with the settings that may be wrong."""
-    if not 1 / MAX_SCALE <= scale <= MAX_SCALE:
+    if not force and not 1 / MAX_SCALE <= scale <= MAX_SCALE:
         raise ValueError(
             f"depth would have to be multiplied by {scale:.3g}, and no factor above {MAX_SCALE:g} or below "
-            f"1/{MAX_SCALE:g} is kept: check {settings}"
+            f"1/{MAX_SCALE:g} is kept: check {settings}; if all are right, set force=true"
+        )
+
+
+def thumbnail(picture: np.ndarray) -> np.ndarray:
+    """A picture ``(H, W, 3)`` uint8 at 24 x 32, by which copies are found: noise and JPEG average out."""
+    import cv2
+
+    return np.asarray(cv2.resize(picture, (32, 24), interpolation=cv2.INTER_AREA), np.int16)
+
+
+def refuse_copies(held_out: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> None:
+    """Raise ValueError if most held-out frames, given by their thumbnails, equal frames that are learned.
+
+    On these, any change that fits the learned frames looks like an improvement.
+    """
+    learned = np.stack(others)
+    copies = [bool((np.abs(learned - one).max((1, 2, 3)) <= SAME_LEVELS).any()) for one in held_out]
+    if sum(copies) > len(copies) / 2:
+        raise ValueError(
+            f"{sum(copies)} of {len(copies)} held-out frames are copies of training frames, so they prove "
+            "nothing: move the camera while you record, or hold out other places"
         )
 
 

@@ -7,7 +7,7 @@ import copy
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -31,7 +31,9 @@ from eldenet.results.before_after import (
     is_improvement,
     panel_size,
     record_change,
+    refuse_copies,
     say_changes,
+    thumbnail,
 )
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import write_rows
@@ -41,6 +43,8 @@ from eldenet.visualization import photo_beside_depths, stack_rows, visible_range
 
 LEAST_FRAMES, LEAST_HELD_OUT = 30, 8
 LEAST_PIXELS = 50  # of known depth, for a frame to count
+LEAST_SPREAD = 0.002  # of the depth of a frame, relative; less is no measurement
+LEAST_LIKENESS = -0.2  # correlation of depth with a prediction; less is inverse depth
 BATCH = 8  # frames, to measure the time of an update
 COUNTED = 200  # training frames that are read to count known pixels and to fit the scale
 METRICS = ("abs_rel", "rmse", "delta1")  # of the table
@@ -59,8 +63,8 @@ def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
         resources: device, threads, workers.
 
     Raises:
-        ValueError: there are too few frames with depth, the factor of their depth is not
-            plausible, or the settings do not fit.
+        ValueError: there are too few frames with depth, or copies of few; their depth is the same everywhere,
+            or inverse; its factor is not plausible; or the settings do not fit.
     """
     started = time.monotonic()
     log, trusted = RunLog(folder), listed(s["trusted_modules"])
@@ -69,7 +73,7 @@ def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
     size, train_set, plain_set, held_out = make_frames(
         s["data"], protocol, s["augmentation"], start, seed=s["seed"]
     )
-    known = refuse_few(plain_set, held_out)
+    known = refuse_unfit(plain_set, held_out)
     log.say(
         f"{s['weights']} sees {len(train_set)} frames at {size[0]} x {size[1]}; {len(held_out)} frames in "
         "blocks of time of their own are held out"
@@ -79,8 +83,10 @@ def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
     start.to(resources.device)
     before = _score(start, held_out, protocol, resources)
     model = copy.deepcopy(start)
-    scale = fit_scale(model, [plain_set[index] for index in known])
-    check_scale(scale, "data.encoding, intrinsics [px] and weights")
+    beside = beside_prediction(model, [plain_set[index] for index in known])
+    refuse_odd_depth(beside)
+    scale = scale_of(beside)
+    check_scale(scale, "data.encoding, intrinsics [px] and weights", force=s["force"])
     model.rescale(scale)
     scaled = copy.deepcopy(model)
     loss = instantiate(s["loss"], "loss")
@@ -163,16 +169,15 @@ def make_frames(
     return size, train_set, plain_set, open_split(data, "val", protocol, seed=seed, input_size=size)
 
 
-def refuse_few(frames: DepthDataset, held_out: DepthDataset) -> list[int]:
+def refuse_unfit(frames: DepthDataset, held_out: DepthDataset) -> list[int]:
     """Return the numbers of training frames with enough known depth, of ``COUNTED`` evenly chosen ones.
 
     Raises:
-        ValueError: they, or those of the held-out frames, are too few to calibrate a camera.
+        ValueError: they, or those of the held-out frames, are too few to calibrate a camera, or most of the
+            held-out frames are copies of training frames.
     """
-    known, of_held_out = (
-        [i for i in evenly_spaced(len(split), COUNTED) if _known_pixels(split, i) >= LEAST_PIXELS]
-        for split in (frames, held_out)
-    )
+    seen, of_held_out = (_with_depth(split) for split in (frames, held_out))
+    known = list(seen)
     found = len(known) + len(of_held_out)
     if not known or found < LEAST_FRAMES or len(of_held_out) < LEAST_HELD_OUT:
         raise ValueError(
@@ -181,18 +186,59 @@ def refuse_few(frames: DepthDataset, held_out: DepthDataset) -> list[int]:
             "A few known distances do not calibrate a camera, because the error of the depth differs from "
             "image to image. Record a few hundred frames, or give camera_height= with source="
         )
+    refuse_copies(list(of_held_out.values()), list(seen.values()))
     return known
 
 
-def _known_pixels(frames: DepthDataset, index: int) -> int:
-    return int((frames.load_frame(index).depth > 0).sum())
+def _with_depth(frames: DepthDataset) -> dict[int, np.ndarray]:
+    """Thumbnails of ``COUNTED`` evenly chosen frames, without those that know too little depth."""
+    found = {}
+    for index in evenly_spaced(len(frames), COUNTED):
+        frame = frames.load_frame(index)
+        if (frame.depth > 0).sum() >= LEAST_PIXELS:
+            found[index] = thumbnail(frame.image)
+    return found
+
+
+class Beside(NamedTuple):
+    """Known depth of a frame beside the prediction.
+
+    Attributes:
+        scale: the factor that the prediction lacks: the ratio of the medians.
+        likeness: correlation of ln depth with ln prediction; 0 where one of them is the same everywhere.
+        spread: of the known depth: from its 5th to its 95th percentile, relative to the median.
+    """
+
+    scale: float
+    likeness: float
+    spread: float
+
+
+def scale_of(frames: Sequence[Beside]) -> float:
+    """Return the factor that the predictions lack: the median over the frames."""
+    return float(np.exp(np.median(np.log([frame.scale for frame in frames]))))
+
+
+def refuse_odd_depth(frames: Sequence[Beside]) -> None:
+    """Raise ValueError if the known depth is the same everywhere in most frames, or inverse."""
+    flat = sum(frame.spread < LEAST_SPREAD for frame in frames)
+    if flat > len(frames) / 2:
+        raise ValueError(
+            f"the depth is the same everywhere in {flat} of {len(frames)} frames: give what a sensor measured"
+        )
+    likeness = float(np.median([frame.likeness for frame in frames]))
+    if likeness < LEAST_LIKENESS:
+        raise ValueError(
+            f"what is near in the pictures has large numbers in the depth maps (correlation with the "
+            f"prediction {likeness:.2f}): is it inverse depth or disparity? Convert it to depth"
+        )
 
 
 @torch.inference_mode()
-def fit_scale(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> float:
-    """Return the factor that the depth of ``samples`` lacks: the median of their medians' ratios."""
+def beside_prediction(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> list[Beside]:
+    """Return how the known depth of each sample compares with the prediction."""
     device = next(model.parameters()).device
-    ratios = []
+    found = []
     with eval_mode(model):
         for sample in samples:
             predicted = predict_depth(
@@ -201,8 +247,15 @@ def fit_scale(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> float:
             depth, mask = sample["depth"], sample["mask"]
             guess = torch.nn.functional.interpolate(predicted.cpu(), depth.shape[-2:], mode="bilinear")[0]
             if mask.any():
-                ratios.append(float((depth[mask].median() / guess[mask].median()).log()))
-    return float(np.exp(np.median(ratios)))
+                known, seen = depth[mask].double().numpy(), guess[mask].double().numpy()
+                middle = float(depth[mask].median())
+                low, high = np.percentile(known, (5, 95))
+                known, seen = np.log(known), np.log(seen)
+                both = known.std() * seen.std()
+                likeness = ((known - known.mean()) * (seen - seen.mean())).mean() / both if both else 0.0
+                scale = middle / float(guess[mask].median())
+                found.append(Beside(scale, float(likeness), float(high - low) / middle))
+    return found
 
 
 def affordable_epochs(model: DepthNet, frames: DepthDataset, seconds: float, *, most: int, seed: int) -> int:

@@ -13,11 +13,19 @@ from eldenet.adapt import AdaptSettings, adapt
 from eldenet.compose import compose
 from eldenet.data.folder import FolderDataset
 from eldenet.evaluation.splits import chosen_protocol
-from eldenet.results.before_after import Change
-from eldenet.training.adaptation import affordable_epochs, best_candidate, fit_scale, make_frames
+from eldenet.results.before_after import Change, refuse_copies, thumbnail
+from eldenet.training.adaptation import (
+    affordable_epochs,
+    beside_prediction,
+    best_candidate,
+    make_frames,
+    scale_of,
+)
 from eldenet.uncertainty import DepthEstimate
 
 SIZE = (24, 32)
+NOISE = np.random.default_rng(0)
+WALL = cv2.resize(NOISE.integers(0, 255, (12, 16, 3), np.uint8), (640, 480), interpolation=cv2.INTER_CUBIC)
 
 
 def place(
@@ -170,4 +178,57 @@ def test_a_rescaled_network_keeps_its_factor_when_saved(tmp_path):
 def test_the_scale_is_the_median_over_frames(tmp_path):
     frames = FolderDataset(place(tmp_path, 9, factor=0.5), max_depth=10.0)
     model = eldenet.load(tmp_path / "start")
-    assert fit_scale(model, [frames[i] for i in range(9)]) == pytest.approx(0.5, rel=0.01)
+    assert scale_of(beside_prediction(model, [frames[i] for i in range(9)])) == pytest.approx(0.5, rel=0.01)
+
+
+def rewrite(root: Path, part: str, change) -> None:
+    """Write all depth maps (or pictures) of a place anew."""
+    for number, path in enumerate(sorted((root / part).iterdir())):
+        cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), number))
+
+
+def one_scene(picture: np.ndarray, number: int) -> np.ndarray:
+    return np.full_like(picture, 90) + np.uint8(number % 2)  # but for noise
+
+
+def flat(depth: np.ndarray, number: int) -> np.ndarray:
+    return np.full_like(depth, 2000 + 10 * number)
+
+
+def inverse(depth: np.ndarray, number: int) -> np.ndarray:
+    return (4e6 / depth).astype(np.uint16)
+
+
+def of_tum(depth: np.ndarray, number: int) -> np.ndarray:
+    return 5 * depth
+
+
+@pytest.mark.parametrize(
+    ("part", "change", "said"),
+    [
+        ("images", one_scene, "are copies"),
+        ("depths", flat, "same everywhere in .* frames"),
+        ("depths", inverse, "inverse depth or disparity"),
+        ("depths", of_tum, r"multiplied by .*check data\.encoding.*; if all are right"),
+    ],
+)
+def test_frames_that_prove_nothing_are_refused(tmp_path, part, change, said):
+    rewrite(place(tmp_path, factor=1.6), part, change)
+    with pytest.raises(ValueError, match=said):
+        adapt(setup(tmp_path))
+    assert not (tmp_path / "run/model").exists()
+
+
+def test_a_large_factor_is_kept_where_it_is_forced(tmp_path):
+    assert adapt(setup(place(tmp_path, factor=4.0), "force=true"))
+    assert json.loads((tmp_path / "run/run.json").read_text())["scale"] == pytest.approx(4, rel=0.05)
+
+
+def test_frames_of_a_moving_camera_are_no_copies():
+    pictures = [np.roll(WALL, 2 * number, axis=1) for number in range(12)]
+    refuse_copies(
+        list(map(thumbnail, pictures[::3])), [thumbnail(p) for i, p in enumerate(pictures) if i % 3]
+    )
+    still = [np.clip(WALL + NOISE.normal(0, 4, WALL.shape), 0, 255).astype(np.uint8) for _ in range(4)]
+    with pytest.raises(ValueError, match="1 of 1 held-out frames are copies"):
+        refuse_copies([thumbnail(still[0])], list(map(thumbnail, still[1:])))
