@@ -183,6 +183,13 @@ def predict(s: PredictSettings) -> "Results":
     points = s.boxes or recording is not None or "ply" in results.formats
     if results.images and (line := lens.describe(points=points)):
         log.say(line)
+    if results.images and s.boxes and not source.is_video:
+        from eldenet.perception.kitti_ap import DIFFICULTIES, precision_rows
+
+        written = {Path(path): results.folder / f"{name}_boxes.txt" for path, name in source.names.items()}
+        rows = precision_rows({path: file for path, file in written.items() if file.is_file()})
+        if rows:
+            log.table("KITTI's AP (R40) by the labels in label_2 [%]", ["IoU", *DIFFICULTIES], rows)
     if results.images and recording is not None:
         log.say(f"recording: rerun {recording}")
     if not stop or source.is_live:

@@ -115,7 +115,6 @@ SCORED = {
     "kitti": "kitti",
     "cityscapes": "cityscapes",
 }
-LISTS = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw", "improved")}
 
 
 HEADS_AND_DATA = [
@@ -126,9 +125,7 @@ HEADS_AND_DATA = [
 
 @pytest.mark.parametrize(("head", "data"), HEADS_AND_DATA)
 def test_heads_reach_every_depth_of_a_data_set_through_every_lens(head: str, data: str) -> None:
-    config = compose(
-        TrainSettings, [f"data={data}", f"model/head={head}", "canonical_focal=0.8", *LISTS.get(data, [])]
-    )
+    config = compose(TrainSettings, [f"data={data}", f"model/head={head}", "canonical_focal=0.8"])
     made = instantiate(config.model["head"])
     for focal in FOCAL_RANGE:
         meters = np.array([made.min_depth, made.max_depth]) * focal / CANONICAL
@@ -144,7 +141,7 @@ def test_heads_reach_as_far_as_every_protocol_scores(name: str) -> None:
         if f"protocol: {name}\n" in (config_folder() / "data" / f"{data}.yaml").read_text()
     ]
     for data in own or [SCORED.get(name, SCORED[name.split("_")[0]])]:
-        words = [f"data={data}", f"protocol={name}", "canonical_focal=0.8", *LISTS.get(data, [])]
+        words = [f"data={data}", f"protocol={name}", "canonical_focal=0.8"]
         config = compose(TrainSettings, words)
         protocol, head = chosen_protocol(config.data, config.protocol), instantiate(config.model["head"])
         farthest = config.data["max_depth"] if name in UNLIMITED else protocol.max_depth

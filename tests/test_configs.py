@@ -93,15 +93,10 @@ def nodes(node: Any) -> Iterator[dict[str, Any]]:
             yield from nodes(value)
 
 
-# Settings without a default.
-GIVEN = {f"kitti_eigen_{truth}": ["data.test_list=list.txt"] for truth in ("raw", "improved")}
-
-
 @functools.cache
 def section(group: str, choice: str) -> Any:
     """The part of a composed training config that ``group=choice`` put there, resolved."""
     given = {"observer": ["mode=train"], "learner": ["mode=train"], "mode": ["output=x"]}.get(group, [])
-    given = given or GIVEN.get(choice, [])
     config = composed(COMMAND_OF.get(group, "train"), [f"{group}={choice}", *given])
     if group == "mode":  # written over the whole config
         return plain(config)

@@ -40,8 +40,8 @@ class KITTIDepth(KITTIFrames):
     """The depth devkit's maps, with the pictures of KITTI raw or of Ma and Karaman's ``data_rgb``.
 
     The maps may be unpacked with or without ``train`` and ``val``, merged, or below ``data_depth_annotated``.
-    Eigen's test split with improved ground truth is ``split="test"`` with BTS's or monodepth2's list of it:
-    of BTS's 697 lines 45 say ``None`` and are left out, 652 remain.
+    Eigen's test split with improved ground truth is ``split="test"`` with ``list_file="eigen_652"``, or with
+    BTS's list: of its 697 lines 45 say ``None`` and are left out, 652 remain.
 
     Args:
         root: the folder with the maps; None for ``$ELDENET_DATA/kitti/depth``.
@@ -51,7 +51,8 @@ class KITTIDepth(KITTIFrames):
         split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`) and are parts of the
             devkit's ``train``, "trainval" is both together; "test" is the devkit's ``val``; "all" takes all.
         cameras: 2 (left), 3 (right) or both.
-        list_file: list of frames, in any part; "train" and "val" are then parts of the list.
+        list_file: list of frames, in any part (:func:`~eldenet.data.kitti_files.frame_list`); "train" and
+            "val" are then parts of the list.
         exclude_list: list whose drives are left out: Eigen's test drives are in the devkit's ``train``.
         frames: how many frames there must be, such as Eigen's 652; None for any number.
         calibration: "required", or "optional" to give frames no intrinsics if the files are missing.
@@ -108,7 +109,7 @@ class KITTIDepth(KITTIFrames):
 class KITTIRaw(KITTIFrames):
     """KITTI raw: pictures with one LiDAR scan each, which is projected into the picture.
 
-    Eigen's 697 test frames are ``split="test"`` with a list of them and ``projection="eigen"``.
+    Eigen's 697 test frames are ``split="test"`` with ``list_file="eigen_697"`` and ``projection="eigen"``.
 
     Args:
         root: the folder with the dates; None for ``$ELDENET_DATA/kitti/raw``.
@@ -116,7 +117,7 @@ class KITTIRaw(KITTIFrames):
         split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`); "trainval", "test"
             and "all" take every frame.
         cameras: 2 (left), 3 (right) or both.
-        list_file: list of frames (BTS's or monodepth2's); None takes every scan.
+        list_file: list of frames (:func:`~eldenet.data.kitti_files.frame_list`); None takes every scan.
         exclude_list: list whose drives are left out, such as the list of the test frames.
         frames: how many frames there must be, such as Eigen's 697; None for any number.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.

@@ -22,6 +22,12 @@ PICTURES = (".png", ".jpg", ".jpeg")
 DEPTH_KINDS = ("groundtruth", "velodyne_raw")
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_\d{4}_sync")
 
+#: Frames whose names come with the package: a setting may name a list instead of a file.
+LISTS = {
+    file.name.removesuffix(".txt.gz"): file
+    for file in sorted((Path(__file__).parent / "kitti_lists").glob("*.txt.gz"))
+}
+
 DEPTH_TREE = """
 train/<drive>/proj_depth/{groundtruth,velodyne_raw}/image_0{2,3}/0000000005.png
 val/<drive>/...       (also below data_depth_annotated and data_depth_velodyne, or without train and val)
@@ -147,6 +153,8 @@ def selected(folder: Path, word: str) -> dict[Place, Path]:
 def frame_list(file: str | Path) -> dict[Place, bool]:
     """Read a list of frames in BTS's or monodepth2's format: place -> whether it has improved ground truth.
 
+    ``file`` may be one of :data:`LISTS`: ``eigen_697``, ``eigen_652`` or ``zhou``.
+
     BTS: ``<date>/<drive>/image_02/data/0000000069.png <depth or None> [focal]``, with or without ``/`` in
     front. Its focal length is not used: the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
     (or ``r``).
@@ -155,9 +163,9 @@ def frame_list(file: str | Path) -> dict[Place, bool]:
         FileNotFoundError: there is no such list.
         ValueError: a line is in neither format, or a frame is listed twice.
     """
-    path = Path(file).expanduser()
+    path = LISTS.get(str(file)) or Path(file).expanduser()
     places: dict[Place, bool] = {}
-    content = read_text(path, "give the list of frames (BTS's or monodepth2's)")
+    content = read_text(path, f"give {', '.join(LISTS)}, or a list in BTS's or monodepth2's format")
     for number, text in enumerate(content.splitlines(), 1):
         if text.strip():
             where = f"{path}, line {number}: {text[:200]!r}"
@@ -183,6 +191,23 @@ def _line(cells: Sequence[str], where: str) -> tuple[Place, bool]:
             "'<date>/<drive> <number> l'"
         )
     return Place(drive, int(camera[1]), stem), len(cells) == 1 or cells[1] != "None"
+
+
+def refuse_missing_drives(
+    root: Path, places: Sequence[Place], pictures: Mapping[Place, Path], sources: Mapping[Place, Path]
+) -> None:
+    """Raise FileNotFoundError if whole drives are missing; up to ten files are named one by one later."""
+    whole = [place for place in places if place in pictures and place in sources]
+    drives, found = {place.drive for place in places}, {place.drive for place in whole}
+    missing = sorted(drives - found)
+    if not missing or len(places) - len(whole) <= 10:
+        return
+    more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
+    raise FileNotFoundError(
+        f"{root} lacks pictures or depth of {len(missing)} of {len(drives)} drives "
+        f"({', '.join(missing[:10])}{more}): {len(whole)} of {len(places)} frames are left. Fetch these "
+        "drives, or take the frames that are left (data.on_error=skip)"
+    )
 
 
 class KITTIFrames(FileDataset):
@@ -227,6 +252,8 @@ class KITTIFrames(FileDataset):
                 f"{len(places)} frames instead of {frames} ({len(without_depth)} without depth in the list): "
                 "check the list and that the data set is complete; for your own list, set data.frames=null"
             )
+        if options.get("on_error") != "skip":
+            refuse_missing_drives(root, places, pictures, sources)
         self.places = list(places)
         self.intrinsics: dict[tuple[str, int], np.ndarray] = {}
         files = [

@@ -79,6 +79,7 @@ KNOWN_LAYOUTS = (
     ),
     KnownLayout("NYU Depth V2, BTS's files", SYNC_TREE, _holds("*/sync_depth_*.png"), _root("nyu_sync")),
     KnownLayout("KITTI raw", RAW_TREE, _is_raw, _root("kitti_raw")),
+    KnownLayout("KITTI raw, Eigen's split", RAW_TREE, _is_raw, _root("kitti_eigen_raw")),
     KnownLayout("KITTI's depth devkit", DEPTH_TREE, _is_depth_devkit, _root("kitti")),
     KnownLayout(
         "KITTI's val_selection_cropped",

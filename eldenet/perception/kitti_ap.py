@@ -11,13 +11,15 @@ the minimum height are ignored, whatever their class, as in the benchmark's code
 DontCare areas are not false positives.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from eldenet.perception.iou import box_ious, iou_2d
-from eldenet.perception.kitti_object import KittiLabels
+from eldenet.perception.kitti_object import KittiLabels, read_labels
 from eldenet.system.checks import one_of
 
 POINTS = 41
@@ -90,6 +92,35 @@ def average_precision(
         precision[index] = right / max(right + wrong, 1)
     precision = np.maximum.accumulate(precision[::-1])[::-1]
     return {"R40": 100 * float(precision[1:].mean()), "R11": 100 * float(precision[::4].mean())}
+
+
+def precision_rows(results: Mapping[Path, Path]) -> list[list[str]]:
+    """AP (R40) [%] of pictures that have labels, rows of class and metric, then easy, moderate and hard.
+
+    Args:
+        results: picture ``.../image_2/000000.png``, whose labels are ``.../label_2/000000.txt`` -> its result
+            file, as :func:`~eldenet.perception.kitti_object.write_labels` writes it.
+
+    Raises:
+        ValueError: a file is damaged.
+    """
+    labels = {
+        picture: picture.parent.parent / "label_2" / f"{picture.stem}.txt"
+        for picture in results
+        if picture.parent.name == "image_2"
+    }
+    pairs = [(read_labels(file), read_labels(results[one])) for one, file in labels.items() if file.is_file()]
+    truths, found = [truth for truth, _ in pairs], [result for _, result in pairs]
+    rows = []
+    for kind in STRICT if pairs else ():
+        for metric in METRICS:
+            precisions = [
+                average_precision(truths, found, kind=kind, difficulty=difficulty, metric=metric)["R40"]
+                for difficulty in DIFFICULTIES
+            ]
+            cells = ["-" if math.isnan(precision) else f"{precision:.1f}" for precision in precisions]
+            rows.append([f"{kind}, {metric} over {STRICT[kind]:g}", *cells])
+    return rows
 
 
 def _prepare(truth: KittiLabels, found: KittiLabels, kind: str, rules: Difficulty, metric: str) -> _Frame:

@@ -21,10 +21,13 @@ from support.layouts import (
     picture,
 )
 
+from eldenet.compose import compose
+from eldenet.configurable import instantiate
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
 from eldenet.data.kitti_calibration import object_camera, read_scan, rectified_intrinsics, velodyne_to_image
 from eldenet.data.kitti_files import frame_list
 from eldenet.geometry import back_project
+from eldenet.train import TrainSettings
 
 
 def test_devkit_frames_have_depth_intrinsics_and_splits(tmp_path: Path) -> None:
@@ -276,3 +279,36 @@ def test_a_projection_of_no_camera_names_the_file(tmp_path: Path, numbers: str) 
     (tmp_path / "calib/000001.txt").write_text(f"P2: {numbers}\n")
     with pytest.raises(ValueError, match=r"000001\.txt: P2 has no focal length .*: fetch it again"):
         object_camera(tmp_path / "image_2/000001.png")
+
+
+@pytest.mark.parametrize(
+    ("name", "frames", "drives"), [("eigen_697", 697, 28), ("eigen_652", 652, 28), ("zhou", 39_810, 32)]
+)
+def test_lists_of_the_field_come_with_the_package(name: str, frames: int, drives: int) -> None:
+    """Zhou's training frames share no drive with Eigen's test frames, whose 652 are part of the 697."""
+    places = frame_list(name)
+    assert (len(places), len({place.drive for place in places})) == (frames, drives)
+    tested = frame_list("eigen_697")
+    if name == "zhou":
+        assert not {place.drive for place in places} & {place.drive for place in tested}
+    else:
+        assert set(places) <= set(tested)
+
+
+def test_missing_drives_are_named_in_one_line(tmp_path: Path) -> None:
+    """Two of 28 drives: how many frames are left is said, and taking them is one setting."""
+    here = [place for place in frame_list("eigen_697") if place.drive.endswith(("0002_sync", "0009_sync"))]
+    drives = tuple(sorted({place.drive for place in here}))
+    kitti_raw(tmp_path, drives)
+    for place in here:
+        drive = tmp_path / place.date / place.drive
+        (drive / f"image_02/data/{place.number}.png").touch()
+        (drive / f"velodyne_points/data/{place.number}.bin").touch()
+    words = ["data=kitti_eigen_raw", f"data.root={tmp_path}"]
+    config = compose(TrainSettings, words)
+    with pytest.raises(FileNotFoundError) as error:
+        instantiate(config.data["test"], "data.test")
+    assert f"of {28 - len(drives)} of 28 drives (2011_09_26_drive_0013_sync, " in str(error.value)
+    assert f"{len(here)} of 697 frames are left" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert len(instantiate(config.data["test"], "data.test", on_error="skip")) == len(here)

@@ -158,15 +158,25 @@ def test_missing_and_wrong_settings_are_refused(run, override, message, tmp_path
         run(write_image(tmp_path / "photo.png"), override.format(folder=tmp_path))
 
 
-def test_a_kitti_folder_brings_its_own_cameras(run, tmp_path):
-    """Two pictures of other sizes, each with its calibration; boxes lie where that camera sees them."""
+def test_a_kitti_folder_brings_its_own_cameras(run, tmp_path, capsys):
+    """Two pictures of other sizes, each with its calibration; boxes lie where that camera sees them.
+
+    Labels beside them are scored: no car is found.
+    """
     folder = tmp_path / "training"
     for name, focal, width in (("000000", 200, 256), ("000001", 300, 320)):
         for part in ("image_2", "calib"):
             (folder / part).mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(folder / f"image_2/{name}.png"), np.full((128, width, 3), 90, np.uint8))
         (folder / f"calib/{name}.txt").write_text(f"P2: {focal} 0 128 40 0 {focal} 64 0 0 0 1 0\n")
+    (folder / "label_2").mkdir()
+    car = "Car 0 0 0 10 10 90 90 1.5 1.6 4.0 0 1.6 9 0\n"
+    (folder / "label_2/000000.txt").write_text(car)
     run(folder, "intrinsics=null")
+    shown = capsys.readouterr().out
+    assert "KITTI's AP (R40) by the labels in label_2 [%]" in shown
+    assert re.search(r"Car, 3d over 0\.7 +0\.0 +0\.0 +0\.0", shown)
+    assert re.search(r"Cyclist, bev over 0\.5 +- +- +-", shown)
     for name, focal in (("000000", 200), ("000001", 300)):
         labels = read_labels(tmp_path / f"out/image_2/{name}_boxes.txt")
         column = focal * (labels.location[:, 0] + 40 / focal) / labels.location[:, 2] + 128

@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon
 
-from eldenet.perception.kitti_ap import DIFFICULTIES, LOOSE, METRICS, STRICT, average_precision
-from eldenet.perception.kitti_object import KittiLabels
+from eldenet.perception.kitti_ap import (
+    DIFFICULTIES,
+    LOOSE,
+    METRICS,
+    STRICT,
+    average_precision,
+    precision_rows,
+)
+from eldenet.perception.kitti_object import KittiLabels, write_labels
 
 # --- by hand ---
 
@@ -41,6 +48,17 @@ def test_ap_is_100_if_all_are_found_0_if_none_and_nan_without_objects(metric):
     assert ap(cars(60), found, metric=metric) == {"R40": 100, "R11": 100}
     assert ap(cars(60), [], metric=metric)["R40"] == 0
     assert np.isnan(ap([], found, metric=metric)["R40"])
+
+
+def test_result_files_are_scored_by_the_labels_beside_the_pictures(tmp_path):
+    """Half of eighty cars; a picture without labels does not count."""
+    write_labels(tmp_path / "label_2/000000.txt", frame(*cars(80)))
+    write_labels(tmp_path / "found.txt", frame(*cars(40, (0.9, 0.51))))
+    pictures = (tmp_path / "image_2/000000.png", tmp_path / "image_2/000001.png", tmp_path / "000000.png")
+    rows = precision_rows(dict.fromkeys(pictures, tmp_path / "found.txt"))
+    assert rows[2] == ["Car, 3d over 0.7", "50.0", "50.0", "50.0"]
+    assert rows[-1] == ["Cyclist, 3d over 0.5", "-", "-", "-"]
+    assert precision_rows(dict.fromkeys(pictures[1:], tmp_path / "found.txt")) == []
 
 
 @pytest.mark.parametrize("metric", METRICS)
