@@ -8,6 +8,7 @@ eldenet demo output=site/demo serve=false
 import json
 import shutil
 import subprocess
+import sys
 import tempfile
 import threading
 import webbrowser
@@ -35,7 +36,9 @@ if TYPE_CHECKING:
 PAGE = ("index.html", "style.css", "app.js", "worker.js", "depth.js", "colors.js", "example.jpg")
 LIST, LOCK = "package.json", "package-lock.json"
 RUNTIME = ("ort.wasm.bundle.min.mjs", "ort-wasm-simd-threaded.wasm", LIST)  # its list last: then it is whole
+SERVED = {*PAGE, "network.onnx", "network.json", *(f"runtime/{name}" for name in RUNTIME)}
 ADDRESS = "127.0.0.1"
+HOSTS = ("localhost", ADDRESS)
 # with these a page may share memory between threads
 HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
@@ -163,14 +166,28 @@ def _copy(source: Path, target: Path) -> None:
 
 
 class PageHandler(SimpleHTTPRequestHandler):
-    """Serves the page's files with the headers that allow threads, and logs nothing."""
+    """Serves the page's own files, to this machine's browser alone, and logs nothing."""
 
+    timeout = 10  # of a request [s]
     extensions_map = {  # noqa: RUF012
         **SimpleHTTPRequestHandler.extensions_map,
         ".js": "text/javascript",
         ".mjs": "text/javascript",
         ".wasm": "application/wasm",
     }
+
+    def send_head(self) -> Any:
+        """Refuse other hosts' pages (DNS rebinding), other files, and links out of the folder."""
+        host = self.headers.get("Host", "").rpartition(":")[0]
+        name = self.path.partition("?")[0].lstrip("/") or PAGE[0]
+        folder = Path(self.directory).resolve()
+        if host not in HOSTS:
+            self.send_error(403, "open the page as localhost")
+            return None
+        if name not in SERVED or (folder / name).resolve() != folder / name or not (folder / name).is_file():
+            self.send_error(404)
+            return None
+        return super().send_head()
 
     def end_headers(self) -> None:
         """Add the headers."""
@@ -182,6 +199,15 @@ class PageHandler(SimpleHTTPRequestHandler):
         """Say nothing."""
 
 
+class PageServer(ThreadingHTTPServer):
+    """Says nothing of a reader that leaves."""
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Show only errors that are not the connection's."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
 def open_server(folder: Path, port: int) -> ThreadingHTTPServer:
     """Open a server of ``folder`` for this machine alone; ``port`` 0 takes a free one.
 
@@ -189,7 +215,7 @@ def open_server(folder: Path, port: int) -> ThreadingHTTPServer:
         ValueError: the port is taken.
     """
     try:
-        return ThreadingHTTPServer((ADDRESS, port), partial(PageHandler, directory=str(folder)))
+        return PageServer((ADDRESS, port), partial(PageHandler, directory=str(folder)))
     except OSError as error:
         raise ValueError(
             f"port={port}: {error.strerror}; give another port, or 0 for any free one"

@@ -80,16 +80,45 @@ def read_torch(path: Path) -> Any:
     with reading(path, "file of torch.save"):
         if zipfile.is_zipfile(path):  # torch itself does not look at the checksums
             with zipfile.ZipFile(path) as archive:
+                if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
+                    raise ValueError("its entries are compressed, which torch.save never does")
                 damaged = archive.testzip()
             if damaged is not None:
                 raise ValueError(f"wrong checksum of {damaged}")
         try:
-            return torch.load(path, map_location="cpu", weights_only=True)
+            content = torch.load(path, map_location="cpu", weights_only=True)
         except pickle.UnpicklingError as error:
             raise ValueError(
                 f"it holds more than a state dict of tensors, and a pickle can run code: save one with "
                 f"torch.save(model.state_dict(), path). {error}"
             ) from error
+        _check_sizes(content, path.stat().st_size)
+    return content
+
+
+def _check_sizes(content: Any, most: int) -> None:
+    """Raise ValueError if a tensor of a file says that it is larger than its numbers, or is of another kind.
+
+    A file of 1 kB may state a tensor of many GB, which the first operation on it would make.
+    """
+    waiting, seen, stored = [content], set(), {}
+    while waiting:
+        part = waiting.pop()
+        if id(part) in seen:
+            continue
+        seen.add(id(part))
+        if isinstance(part, Mapping):
+            waiting += [*part.keys(), *part.values()]
+        elif isinstance(part, list | tuple | set):
+            waiting += part
+        elif isinstance(part, Tensor):
+            shape = list(part.shape)
+            if part.layout != torch.strided or part.is_quantized or part.device.type != "cpu":
+                raise ValueError(f"it holds a sparse, quantized or meta tensor {shape}: save plain ones")
+            storage = part.untyped_storage()
+            stored[storage.data_ptr()] = storage.nbytes()
+            if part.numel() * part.element_size() > storage.nbytes() or sum(stored.values()) > most:
+                raise ValueError(f"it states a tensor {shape} that is larger than its numbers")
 
 
 def load_weights(module: nn.Module, weights: Weights, source: str | Path) -> None:

@@ -13,6 +13,7 @@ from eldenet.system.errors import reading
 from eldenet.system.extras import require
 
 PIXEL_VARIABLE, MOST_PIXELS = "ELDENET_MAX_PIXELS", 100_000_000
+MOST_CHANNELS = 4  # for each of these pixels
 
 
 def check_pixels(shape: Sequence[int], source: object) -> None:
@@ -30,7 +31,7 @@ def check_pixels(shape: Sequence[int], source: object) -> None:
     sides = [int(side) for side in shape]
     channels = min(sides[0], sides[-1]) if len(sides) == 3 else 1
     pixels = math.prod(sides) // max(1, channels)
-    if pixels > int(given) or math.prod(sides) > 16 * int(given):
+    if pixels > int(given) or math.prod(sides) > MOST_CHANNELS * int(given):
         size = " x ".join(map(str, sides))
         raise ValueError(
             f"{source} has {size} values, more than {int(given):,} pixels: if this is intended, set the "
@@ -108,9 +109,13 @@ def read_exr(path: Path) -> np.ndarray:
     import OpenEXR
 
     with reading(path, "OpenEXR file"), OpenEXR.File(str(path), header_only=True) as file:
-        first, last = (np.array(corner, np.int64) for corner in file.header()["dataWindow"])
+        header = file.header()
+        first, last = (np.array(corner, np.int64) for corner in header["dataWindow"])
         sides = (last - first + 1).tolist()
+        channel_names = [channel.name for channel in header["channels"]]
     check_pixels(sides[::-1], path)
+    if len(channel_names) > MOST_CHANNELS:
+        raise ValueError(f"{path} has {len(channel_names)} channels: store only depth, as one channel")
     with reading(path, "OpenEXR file"), OpenEXR.File(str(path), separate_channels=True) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     if not channels:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from eldenet.data.array_files import MOST_CHANNELS
 from eldenet.system.errors import first_line
 from eldenet.system.extras import require
 
@@ -97,9 +98,12 @@ def picture_size(content: bytes) -> tuple[int, int]:
             width, height = (int(header[2]), int(header[3])) if header else (0, 0)
         elif is_heif(content):
             width, height = _heif(content).size
+        elif content.startswith(b"RIFF"):
+            height, width = _webp_size(content)
         else:
             directory = _tiff_directory(content)
             width, height = directory[256], directory[257]
+            height *= -(-directory.get(277, 1) // MOST_CHANNELS)  # samples per pixel: more count as rows
         return abs(int(height)), abs(int(width))
     except ImportError:
         raise
@@ -185,6 +189,18 @@ def _heif(content: bytes) -> Any:
     import pillow_heif
 
     return pillow_heif.open_heif(io.BytesIO(content))
+
+
+def _webp_size(content: bytes) -> tuple[int, int]:
+    """Return ``(height, width)`` [px] of a WebP picture: lossy, lossless, or an extended one's canvas."""
+    kind, size = content[12:16], content[20:]
+    if kind == b"VP8 ":
+        width, height = struct.unpack_from("<HH", size, 6)
+        return height & 0x3FFF, width & 0x3FFF
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", size, 1)
+        return (bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1
+    return int.from_bytes(size[7:10], "little") + 1, int.from_bytes(size[4:7], "little") + 1
 
 
 def _webp_fault(content: bytes) -> str:

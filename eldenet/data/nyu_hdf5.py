@@ -1,5 +1,6 @@
 """NYU Depth V2 in its HDF5 layouts: a file per frame (sparse-to-dense, FastDepth), and the labeled .mat."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Unpack
@@ -21,6 +22,8 @@ HDF5_TREE = """
 train/<scene>/00001.h5 ...     (47,584 frames)      keys: rgb (3, 480, 640) uint8, depth (480, 640) float32 m
 val/official/00001.h5 ...      (654 frames)
 """
+MOST_CHUNKS = 65536  # of an array: one of 100 million pixels has fewer, unless they are tiny
+MOST_NUMBERS = 1_000_000  # of frames, in a list of them
 MAT_TREE = """
 nyu_depth_v2_labeled.mat       (1,449 frames, 2.8 GB, MATLAB 7.3 = HDF5)
 splits.mat                     (the official split: trainNdxs, testNdxs)
@@ -198,8 +201,15 @@ def _take(file: Any, key: str, source: object) -> Any:
 
 
 def _read(dataset: Any, part: Any, source: object) -> np.ndarray:
-    """Read an array or a part of it."""
-    check_pixels(dataset.shape if part == () else dataset.shape[1:], source)
+    """Read an array or a part of it, as far as its header allows: size, and size and number of chunks."""
+    shape, chunks = dataset.shape, dataset.chunks or dataset.shape
+    check_pixels(chunks, source)
+    if part != ():
+        shape, chunks = shape[1:], chunks[1:]
+    check_pixels(shape, source)
+    count = math.prod(-(-side // step) for side, step in zip(shape, chunks, strict=True))
+    if count > MOST_CHUNKS:
+        raise ValueError(f"{source}: its array lies in {count} chunks: store it in {MOST_CHUNKS} at most")
     with reading(source, "HDF5 file"):
         values = np.asarray(dataset[part])
     return values
@@ -218,11 +228,15 @@ def _mat_frames(mat: Any, path: Path, depth_key: str) -> int:
 
 def _split_numbers(path: Path, split: str) -> Sequence[int]:
     """Return the frame numbers, from 1, of a part of the official split."""
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
+    names = ("trainNdxs", "testNdxs")
     with reading(path, "official split with trainNdxs and testNdxs"):
-        found = loadmat(path)
-        parts = {key: [int(number) for number in found[key].ravel()] for key in ("trainNdxs", "testNdxs")}
+        for name, shape, kind in whosmat(path):
+            if name in names and (math.prod(shape) > MOST_NUMBERS or kind in ("cell", "struct", "object")):
+                raise ValueError(f"{name} is a {kind} of {shape}, not a list of numbers")
+        found = loadmat(path, variable_names=names)
+        parts = {key: [int(number) for number in found[key].ravel()] for key in names}
     every = parts["trainNdxs"] + parts["testNdxs"]
     if not every or min(every) < 1 or len(set(every)) < len(every):
         raise ValueError(f"{path}: its frame numbers must start at 1 and not repeat: fetch it again")

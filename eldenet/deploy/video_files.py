@@ -24,6 +24,16 @@ VIDEO_ENDINGS = (
     ".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".avi", ".mkv", ".webm", ".wmv", ".asf", ".flv", ".ogv", ".mpg",
     ".mpeg", ".vob", ".ts", ".mts", ".m2ts", ".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg",
 )  # fmt: skip
+PLAYLISTS = {
+    "hls",
+    "applehttp",
+    "dash",
+    "concat",
+    "sdp",
+    "rtsp",
+    "imf",
+    "webm_dash_manifest",
+}  # FFmpeg's names
 LONGEST_STILL = 60.0  # [s]: a longer gap between two frames means that recordings were joined
 SLACK = 1.0  # [s] by which a file may end early; Matroska states its length exactly
 MATROSKA_SLACK = 0.1  # [s]
@@ -59,11 +69,27 @@ def _has_two_frames(path: Path) -> bool:
     import av
 
     try:
-        with av.open(str(path)) as container:
+        with _open(path) as container:
             frames = islice(container.decode(video=0), 2)
             return container.format.name != "tty" and len(list(frames)) == 2
     except (av.error.FFmpegError, IndexError):
         return False
+
+
+def _open(path: Path) -> Any:
+    """Open a video file, which may not name other files or addresses.
+
+    Raises:
+        ValueError: it is a playlist.
+    """
+    import av
+
+    # as "file:", no name is read as an address
+    container = av.open(f"file:{path}", metadata_errors="replace", options={"protocol_whitelist": "file"})
+    if PLAYLISTS & set(container.format.name.split(",")):
+        container.close()
+        raise ValueError(f"{path} is a playlist ({container.format.name}), whose files it does not hold")
+    return container
 
 
 class VideoFile:
@@ -80,10 +106,8 @@ class VideoFile:
     """
 
     def __init__(self, path: Path) -> None:
-        import av
-
         with reading(path, "video", "fetch it again, or convert it to .mp4"):
-            self._container = av.open(str(path), metadata_errors="replace")
+            self._container = _open(path)
             self._stream = self._container.streams.video[0]
             size = self._stream.height, self._stream.width
         self._width = round(size[1] * _pixel_aspect(self._stream))

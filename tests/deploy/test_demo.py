@@ -4,6 +4,8 @@ import base64
 import http.client
 import re
 import shutil
+import socket
+import struct
 import threading
 import time
 from pathlib import Path
@@ -16,7 +18,15 @@ import skimage.data
 import eldenet
 from eldenet.compose import compose
 from eldenet.data.paths import default_cache
-from eldenet.demo import HEADERS, DemoSettings, build_page, install_runtime, open_server, page_facts
+from eldenet.demo import (
+    HEADERS,
+    DemoSettings,
+    PageHandler,
+    build_page,
+    install_runtime,
+    open_server,
+    page_facts,
+)
 from eldenet.deploy import runtimes
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.results.run_log import RunLog
@@ -290,11 +300,11 @@ def test_the_page_gets_the_colors_of_the_package():
 
 
 def test_the_server_allows_threads_and_names_the_types(tmp_path):
-    (tmp_path / "worker.mjs").write_text("")
+    (tmp_path / "worker.js").write_text("")
     server = open_server(tmp_path, 0)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port)
-    connection.request("GET", "/worker.mjs")
+    connection.request("GET", "/worker.js")
     answer = connection.getresponse()
     assert {name: answer.headers[name] for name in HEADERS} == HEADERS
     assert answer.headers["Content-Type"] == "text/javascript"
@@ -302,6 +312,43 @@ def test_the_server_allows_threads_and_names_the_types(tmp_path):
         open_server(tmp_path, server.server_port)
     server.shutdown()
     server.server_close()
+
+
+def answered(server, request: bytes) -> bytes:
+    """The first line that the server answers."""
+    with socket.create_connection(server.server_address[:2], timeout=10) as connection:
+        connection.sendall(request)
+        return connection.makefile("rb").readline().strip()
+
+
+def test_the_server_gives_the_pages_own_files_to_this_machine_alone(tmp_path, capfd, monkeypatch):
+    folder, secret = tmp_path / "page", tmp_path / "secret"
+    (folder / "runtime").mkdir(parents=True)
+    secret.write_text("secret")
+    for name in ("index.html", "network.json", "notes.txt"):
+        (folder / name).write_text(name)
+    (folder / "app.js").symlink_to(secret)
+    (folder / "runtime/package.json").symlink_to(secret)
+    with open_server(folder, 0) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+
+        def status(path: str, host: str = "localhost", method: str = "GET") -> int:
+            request = f"{method} {path} HTTP/1.0\r\nHost: {host}:{server.server_port}\r\n\r\n"
+            return int(answered(server, request.encode()).split()[1])
+
+        assert [status(path) for path in ("/", "/index.html", "/network.json?x=1")] == [200, 200, 200]
+        assert status("/", "127.0.0.1") == status("/", method="HEAD") == 200
+        assert status("/", "evil.example") == status("/network.json", "localhost.evil.example") == 403
+        for path in ("/notes.txt", "/runtime/", "/runtime", "/app.js", "/runtime/package.json", "/../secret",
+                     "/%2e%2e/secret", "//etc/passwd", "/index.html/", "/network.onnx"):  # fmt: skip
+            assert status(path) == 404, path
+        monkeypatch.setattr(PageHandler, "timeout", 0.2)
+        assert answered(server, b"GET / HTTP/1.0\r\n") == b""  # it never ends its request
+        with socket.create_connection(server.server_address[:2]) as leaving:
+            leaving.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            leaving.sendall(b"GET / HTTP/1.0\r\n")
+        server.shutdown()
+    assert capfd.readouterr().err == ""
 
 
 def test_without_npm_one_line_says_what_to_do(tmp_path, monkeypatch, capsys):

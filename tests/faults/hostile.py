@@ -9,6 +9,7 @@ import os
 import pickle
 import re
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable
 from functools import partial
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from support import layouts
+from support.films import write_video
 from support.rooms_network import trained
 from support.stored_study import figures, record_of, write_plan
 
@@ -254,11 +256,37 @@ def onnx_with_weights_in_another_file(folder: Path) -> Attack:
     return inside / "net.onnx", lambda: runtimes.load(inside / "net.onnx", "onnxruntime", threads=1)
 
 
+def _playlist(folder: Path, text: str, name: str = "walk.mp4") -> Attack:
+    from eldenet.deploy.video_files import is_video_file
+
+    secret = write_video(folder / "secret.mkv")
+    file = folder / name
+    file.write_text(text.replace("VIDEO", str(secret)))
+    return refused(folder, file, lambda: _read_video(file) if is_video_file(file) else None)
+
+
 @hostile
 def a_playlist_as_video(folder: Path) -> Attack:
-    file = folder / "walk.mp4"
-    file.write_text("ffconcat version 1.0\nfile /etc/passwd\n")
-    return file, lambda: _read_video(file)
+    return _playlist(folder, "ffconcat version 1.0\nfile VIDEO\n")
+
+
+HLS = "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nVIDEO\n#EXT-X-ENDLIST\n"
+SDP = "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 9 RTP/AVP 96\n"
+
+
+@hostile
+def a_playlist_of_hls(folder: Path) -> Attack:
+    return _playlist(folder, HLS, "walk.m3u8")
+
+
+@hostile
+def a_playlist_of_hls_as_video(folder: Path) -> Attack:
+    return _playlist(folder, HLS)
+
+
+@hostile
+def an_address_as_video(folder: Path) -> Attack:
+    return _playlist(folder, SDP)
 
 
 # --- bombs --------------------------------------------------------------------------------------------------
@@ -353,6 +381,139 @@ def an_xml_of_a_billion_laughs(folder: Path) -> Attack:
     file.write_text(f'<?xml version="1.0"?><!DOCTYPE net [<!ENTITY l0 "lol">{entities}]><net>&l11;</net>')
     (folder / "net.bin").write_bytes(b"")
     return file, lambda: runtimes.load(file, "openvino", threads=1)
+
+
+def _state(folder: Path, state: dict[str, Any]) -> Attack:
+    import torch
+
+    file = folder / "start.pt"
+    torch.save(state, file)
+    return refused(folder, file, lambda: _weights(file))
+
+
+@hostile
+def weights_of_one_number_for_7_gb(folder: Path) -> Attack:
+    import torch
+
+    return _state(folder, {"weight": torch.zeros(1).expand(2_000_000_000)})
+
+
+@hostile
+def weights_of_a_shape_of_2_to_the_40(folder: Path) -> Attack:
+    import torch
+
+    file, use = _state(folder, {"weight": torch.zeros(0x1234)})
+    with zipfile.ZipFile(file) as whole:
+        entries = {entry: whole.read(entry) for entry in whole.namelist()}
+    with zipfile.ZipFile(file, "w") as damaged:
+        for entry, content in entries.items():
+            large = b"\x8a\x06" + (1 << 40).to_bytes(6, "little")
+            damaged.writestr(entry, content.replace(b"M\x34\x12\x85", large + b"\x85"))
+    return file, use
+
+
+@hostile
+def weights_without_numbers(folder: Path) -> Attack:
+    import torch
+
+    return _state(folder, {"weight": torch.zeros(1 << 40, device="meta")})
+
+
+@hostile
+def sparse_weights(folder: Path) -> Attack:
+    import torch
+
+    return _state(folder, {"weight": torch.sparse_coo_tensor([[0]], [1.0], (1 << 40,))})
+
+
+@hostile
+def quantized_weights(folder: Path) -> Attack:
+    import torch
+
+    return _state(folder, {"weight": torch.quantize_per_tensor(torch.zeros(4), 0.1, 0, torch.qint8)})
+
+
+@hostile
+def deflated_weights(folder: Path) -> Attack:
+    import torch
+
+    file, use = _state(folder, {"weight": torch.zeros(1000)})
+    with zipfile.ZipFile(file) as whole:
+        entries = {entry: whole.read(entry) for entry in whole.namelist()}
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as damaged:
+        for entry, content in entries.items():
+            damaged.writestr(entry, content)
+    return file, use
+
+
+@hostile
+def a_webp_of_34_bytes_and_268_million_pixels(folder: Path) -> Attack:
+    file = folder / "picture.webp"
+    bits = struct.pack("<I", 0x3FFF - 1 | (0x3FFF - 1) << 14)
+    file.write_bytes(
+        b"RIFF" + struct.pack("<I", 26) + b"WEBPVP8L" + struct.pack("<I", 14) + b"/" + bits + bytes(9)
+    )
+    return _image(file)
+
+
+@hostile
+def a_tiff_of_60_samples_per_pixel(folder: Path) -> Attack:
+    from PIL import Image
+
+    file = folder / "picture.tif"
+    Image.new("RGB", (16, 16)).save(file)
+    content = bytearray(file.read_bytes())
+    for tag, value in ((256, 9000), (257, 9000), (277, 60)):
+        at = content.index(struct.pack("<H", tag), 8)
+        struct.pack_into("<HHII", content, at, tag, 4, 1, value)
+    file.write_bytes(content)
+    return _image(file)
+
+
+@hostile
+def an_exr_of_60_channels(folder: Path) -> Attack:
+    import OpenEXR
+
+    file = folder / "depth.exr"
+    layers = {f"c{number:02d}": np.zeros((8, 8), np.float32) for number in range(60)}
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, layers).write(str(file))
+    return _depth(file)
+
+
+@hostile
+def a_split_of_5_gb_in_a_mat_file(folder: Path) -> Attack:
+    from scipy.io import savemat
+
+    from eldenet.data.nyu_hdf5 import _split_numbers
+
+    file = folder / "splits.mat"
+    savemat(file, {"trainNdxs": np.zeros((2000, 2000)), "testNdxs": np.ones(3)}, do_compression=True)
+    return refused(folder, file, lambda: _split_numbers(file, "train"))
+
+
+@hostile
+def hdf5_of_millions_of_unwritten_chunks(folder: Path) -> Attack:
+    import h5py
+
+    layouts.hdf5(folder)
+    file = folder / "train/office_0002/00001.h5"
+    with h5py.File(file, "w") as damaged:
+        damaged.create_dataset("rgb", (3, 4000, 4000), "u1", chunks=(1, 1, 1))
+        damaged.create_dataset("depth", (4000, 4000), "f4", chunks=(1, 1))
+    return refused(folder, file, lambda: frames(folder, "hdf5"))
+
+
+@hostile
+def hdf5_of_one_chunk_of_4_gb(folder: Path) -> Attack:
+    import h5py
+
+    layouts.hdf5(folder)
+    file = folder / "train/office_0002/00001.h5"
+    with h5py.File(file, "w") as damaged:
+        large = (3, 10000, 60000)
+        damaged.create_dataset("rgb", (3, 8, 8), "u1", chunks=large, maxshape=large, compression="gzip")
+        damaged["depth"] = np.ones((8, 8), np.float32)
+    return refused(folder, file, lambda: frames(folder, "hdf5"))
 
 
 # --- figures and words --------------------------------------------------------------------------------------
