@@ -25,6 +25,21 @@ MEANT = {  # settings as other tools, and earlier states, call them
     "image": "source",
     "video": "source",
     "run_dir": "output",
+    "early_stopping": "trainer.patience",
+    "early_stop": "trainer.patience",
+    "amp": "runtime.precision",
+    "fp16": "runtime.precision",
+    "bf16": "runtime.precision",
+    "half": "runtime.precision",
+    "learning_rate": "optimizer.lr",
+    "lr_scheduler": "scheduler",
+    "max_epochs": "trainer.epochs",
+    "num_epochs": "trainer.epochs",
+    "batch": "trainer.batch_size",
+    "num_workers": "runtime.workers",
+    "gradient_clip_val": "trainer.max_grad_norm",
+    "resume": "ckpt_path",
+    "pretrained": "weights",
 }
 WRONG_VALUE = re.compile(r"^[\w.]+=.*: give ")
 FIELD = re.compile(r"(?P<name>\w+): .+?(?P<comment>  # .*)?$")  # of a dataclass
@@ -314,7 +329,7 @@ def _nearest(key: str, known: dict[str, Any]) -> str:
     last = key.rpartition(".")[2]
     others = [name for name in known if name != key]  # it may exist with other choices
     alike = [name for name in others if name.rpartition(".")[2] == last]
-    alike = alike or [name for name in others if name == MEANT.get(key)]
+    alike = alike or [name for name in others if name in (MEANT.get(key), MEANT.get(last))]
     ends = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in others}, 1, 0.8)
     alike = alike or difflib.get_close_matches(key, others, 1)
     alike = alike or [name for name in others if name.rpartition(".")[2] in ends]

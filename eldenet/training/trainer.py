@@ -97,6 +97,8 @@ class Trainer:
         loggers: names of :data:`~eldenet.results.loggers.LOGGERS`, which get the curves and pictures.
     """
 
+    _criterion: Callable[..., Any]
+
     def __init__(
         self,
         *,
@@ -331,6 +333,8 @@ class Trainer:
         return norm if self.accelerator.scaler is None else norm.nan_to_num(0.0, 0.0, 0.0)
 
     def _after_update(self) -> None:
+        if self.compile and self._criterion is self.loss:  # it has its buffers now
+            self._criterion = torch.compile(self.loss)
         if not isinstance(self.scheduler, ReduceLROnPlateau):
             self.scheduler.step()
         if self.average is not None:
@@ -393,7 +397,7 @@ class Trainer:
         )
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
         self._network = torch.compile(self.model) if self.compile else self.model
-        self._criterion = torch.compile(self.loss) if self.compile else self.loss
+        self._criterion = self.loss
         # without accelerate's autocast, which would stay on in validation; train_step has its own
         self.bare_model = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
         self.scheduler = self.make_scheduler(optimizer, self.epochs * steps_per_epoch, steps_per_epoch)

@@ -43,6 +43,17 @@ def test_the_reader_of_help_may_leave_before_its_end():
     ("command", "words", "line"),
     [
         ("train", ["epochs=5"], "there is no setting epochs: did you mean trainer.epochs?"),
+        ("train", ["lr=1e-3"], "there is no setting lr: did you mean optimizer.lr?"),
+        ("train", ["batch_size=8"], "there is no setting batch_size: did you mean trainer.batch_size?"),
+        ("train", ["compile=true"], "there is no setting compile: did you mean trainer.compile?"),
+        ("train", ["patience=3"], "there is no setting patience: did you mean trainer.patience?"),
+        ("train", ["amp=true"], "there is no setting amp: did you mean runtime.precision?"),
+        ("train", ["early_stopping=3"], "there is no setting early_stopping: did you mean trainer.patience?"),
+        (
+            "train",
+            ["trainer.early_stopping=3"],
+            "there is no setting trainer.early_stopping: did you mean trainer.patience?",
+        ),
         (
             "train",
             ["seed=1", "optimiser.lr=1"],
@@ -117,6 +128,7 @@ def test_commands_print_the_advice_as_their_last_line(run_command):
         ("train", ["data.input_size=[-1,5]"], "input_size=[-1, 5]: give whole numbers of 1 or more"),
         ("train", ["data.subset=5"], "data.subset=5: give it per split, data.subset.train=5"),
         ("train", ["model=eldnet"], "model=eldnet: did you mean eldenet? choose from eldenet,"),
+        ("train", ["data=nyu"], "data=nyu: did you mean nyu_densedepth or nyu_hdf5 or nyu_labelled"),
         ("train", ["-m", "model=eldnet,eldenet"], "model=eldnet: did you mean eldenet?"),
         ("train", ["+experiment=nope"], "experiment=nope: choose from"),
         ("train", ["trainer.epochs"], "trainer.epochs cannot be read: write trainer.epochs=value"),
