@@ -110,8 +110,8 @@ def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int], *, inside: b
         inside: whether the principal point must lie in the picture; False where it does not count.
 
     Raises:
-        ValueError: :func:`intrinsic_matrix` refuses them, the horizontal field of view is not 4 to 150
-            degrees (``ELDENET_ANY_LENS=1`` allows any), or the principal point lies outside the picture.
+        ValueError: :func:`intrinsic_matrix` refuses them; or, unless ``ELDENET_ANY_LENS=1``, the horizontal
+            field of view is not 4 to 150 degrees, or the principal point lies outside the picture.
     """
     matrix = intrinsic_matrix(intrinsics)
     fx, column, row = (float(matrix[at]) for at in ((0, 0), (0, 2), (1, 2)))
@@ -126,7 +126,7 @@ def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int], *, inside: b
     elif not centered:
         of_sensor = ", or in mm of the sensor" * (column <= MOST_SENSOR / 2)
         hint = f", and {at} is the middle of a picture of about {middle}: of another size{of_sensor}?"
-    if inside and not (0 <= column < width and 0 <= row < height):
+    if inside and not any_lens() and not (0 <= column < width and 0 <= row < height):
         raise ValueError(
             f"{at} lies outside the picture, which is {width} x {height}: give the intrinsics of pictures of "
             f"this size; these would be right at about {middle}"
@@ -347,7 +347,12 @@ def nearest_points(
 
 
 def back_project(depth: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
-    """Camera points ``(H, W, 3)`` [m] of a depth map ``(H, W)`` [m]: z is the depth."""
+    """Camera points ``(H, W, 3)`` [m] of a depth map ``(H, W)`` [m]: z is the depth.
+
+    Raises:
+        ValueError: the intrinsics ``(3, 3)`` [px] are those of no camera, see :func:`intrinsic_matrix`.
+    """
+    intrinsics = intrinsic_matrix(intrinsics)
     rows, cols = np.indices(depth.shape, dtype=np.float64)
     x = (cols - intrinsics[0, 2]) / intrinsics[0, 0] * depth
     y = (rows - intrinsics[1, 2]) / intrinsics[1, 1] * depth

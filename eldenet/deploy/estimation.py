@@ -18,7 +18,7 @@ from eldenet.deploy.outputs import ENDING, Results, name_results
 from eldenet.deploy.predictor import DepthPredictor, focal_length
 from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.video_files import is_video_file
-from eldenet.geometry import PinholeCamera, back_project
+from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
 from eldenet.system.checks import one_of
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate, as_estimate
 from eldenet.visualization import photo_beside_depth, visible_range
@@ -152,6 +152,8 @@ def estimate(
     for name, picture in pictures:
         frame, origin = _read(picture)
         camera = lens.camera_of(frame.shape, origin)
+        if camera is not None:
+            check_intrinsics(camera.intrinsics, (frame.shape[0], frame.shape[1]))
         found = as_estimate(predictor(frame, focal=lens.focal_of(frame.shape, origin)))
         results.append(PictureDepth(name, frame, found, camera))
     if predictor.canonical_px is not None and any(result.camera is None for result in results):

@@ -84,7 +84,7 @@ class Lens:
         if not self.given and isinstance(photo, Path):
             camera = object_camera(photo)
         if camera is not None:
-            check_intrinsics(camera.intrinsics, (size[0], size[1]))
+            check_intrinsics(camera.intrinsics, (size[0], size[1]), inside=False)
             return camera
         focal, _ = self._find(size, photo)
         if focal is None:

@@ -60,8 +60,16 @@ class OnnxTeacher:
         return from_numpy(1 / (FARTHEST_INVERSE + (NEAREST_INVERSE - FARTHEST_INVERSE) * share))
 
     def _map(self, image: np.ndarray) -> np.ndarray:
-        found = np.asarray(self._runtime.run(image[None]), np.float32)
-        self._map_size = found.shape[-2:]
+        answer = np.asarray(self._runtime.run(image[None]))
+        self._map_size = answer.shape[-2:]
+        is_map = answer.dtype.kind == "f" and answer.size == np.prod(self._map_size)
+        found = answer.astype(np.float32)
+        if not is_map or not np.isfinite(found).all() or (self.output == "depth" and not (found > 0).any()):
+            raise ValueError(
+                f"{self.path} answers with {answer.shape} {answer.dtype}, {answer.min():g} to "
+                f"{answer.max():g}: give a network that maps an image to one finite float map; depth is "
+                "above 0, a disparity needs output=disparity"
+            )
         return found
 
     @property

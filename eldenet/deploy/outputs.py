@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.data.io import IMAGE_ENDINGS
-from eldenet.data.paths import natural_order, visible_files
+from eldenet.data.paths import composed, natural_order, visible_files
 from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
 from eldenet.system.files import part_file, read_json, write_text
 from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
@@ -265,10 +265,10 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
     if not paths:
         raise ValueError(f"{source} holds no pictures ({', '.join(IMAGE_ENDINGS)})")
     names = {path: path.relative_to(source).with_suffix("").as_posix() for path in paths}
-    often = Counter(name.casefold() for name in names.values())
+    often = Counter(composed(name).casefold() for name in names.values())
     for path, name in names.items():
-        if often[name.casefold()] > 1:
+        if often[composed(name).casefold()] > 1:
             names[path] = f"{name}_{path.suffix[1:]}"
-    if len({name.casefold() for name in names.values()}) < len(names):
+    if len({composed(name).casefold() for name in names.values()}) < len(names):
         raise ValueError(f"{source} holds pictures whose names differ too little: rename some of them")
     return names

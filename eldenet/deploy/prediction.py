@@ -99,7 +99,8 @@ def predict_pictures(
     """Predict the pictures of ``names``, picture -> name of its results, that are not done yet.
 
     Raises:
-        ValueError: a picture cannot be read; with ``skip_unreadable``: none of them can be.
+        ValueError: a picture cannot be read, or the lens does not fit it; with ``skip_unreadable``: none of
+            them can be.
     """
     from eldenet.data.io import read_image
 
@@ -113,16 +114,18 @@ def predict_pictures(
                 break
             try:
                 photo = read_image(path, upright=True)
+                camera = predictor.lens.camera_of(photo.shape, Path(path))
+                depth = predictor(photo, Path(path))
             except (ValueError, OSError) as error:
+                said = str(error) if str(path) in str(error) else f"{path}: {error}"
                 if not skip_unreadable and len(pictures) > 1:
                     count = f"{results.images} of {len(pictures)} pictures are done"
-                    raise ValueError(f"{error} ({count}; on_error=skip skips such files)") from error
+                    raise ValueError(f"{said} ({count}; on_error=skip skips such files)") from error
                 if not skip_unreadable:
-                    raise
-                results.skipped.append(str(error))
+                    raise type(error)(said) from error
+                results.skipped.append(said)
             else:
-                camera = predictor.lens.camera_of(photo.shape, Path(path))
-                results.write(name, photo, predictor(photo, Path(path)), results.formats, camera=camera)
+                results.write(name, photo, depth, results.formats, camera=camera)
             bar.advance(1)
         rate = results.images / max(bar.done, 1) * bar.rate
     if pictures and not results.images and not stop:

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eldenet.geometry import PinholeCamera
+from eldenet.geometry import PinholeCamera, check_camera_height
 
 MAX_SLOPE = 0.27  # [rad], 15 degrees: of a plane that counts as ground, in the level frame
+HEIGHTS = (0.01, 20.0)  # of a camera above the ground, up to that on a mast [m]
 _TRIALS = 128
 _SAMPLES = 1500
 
@@ -38,7 +39,12 @@ class GroundPlane:
 
 
 def flat_ground(camera_height: float) -> GroundPlane:
-    """Level ground ``camera_height`` [m] below the origin; a driving car tilts by about 0.02 rad."""
+    """Level ground ``camera_height`` [m] below the origin; a driving car tilts by about 0.02 rad.
+
+    Raises:
+        ValueError: the height is not 0.01 to 20 m.
+    """
+    check_camera_height(camera_height, HEIGHTS[0], HEIGHTS[1])
     return GroundPlane(np.array([0.0, 1.0, 0.0]), float(camera_height), tilt=0.02)
 
 

@@ -200,6 +200,7 @@ class KittiObjects:
         if scan is None:
             return None
         calibration = self._files(name)[1]
+        self.camera(name)  # refuses a P2 that is no camera's
         rigid, rectify = np.eye(4), np.eye(4)
         rigid[:3] = entry(calibration, "Tr_velo_to_cam", (3, 4))
         rectify[:3, :3] = entry(calibration, "R0_rect", (3, 3))

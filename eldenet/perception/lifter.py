@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D, wrap_half
-from eldenet.geometry import PinholeCamera, check_camera_height, check_intrinsics
+from eldenet.geometry import PinholeCamera, check_intrinsics
 from eldenet.perception.box_methods import ObjectEvidence, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 from eldenet.perception.foreground import border_cuts, gather, trusted_edges
 from eldenet.perception.ground import GroundPlane, fit_ground, flat_ground
@@ -24,7 +24,6 @@ SMALL_SIDE, LARGE_SIDE = 10.0, 100.0  # [px]: shorter sides of 2D boxes
 #: Relative errors of objects of ``LARGE_SIDE`` and ``SMALL_SIDE`` pixels by what the depth comes from.
 #: experiments/table4_centres/defaults.md: chosen on rendered streets.
 NETWORK_SIGMA, SENSOR_SIGMA = (0.15, 0.5), (0.01, 0.01)
-HIGHEST_CAMERA = 20.0  # above the ground, on a mast [m]
 DOUBTFUL_COST = 6.0  # of a fit whose cues contradict each other
 _SPARSE = 0.25  # of the pixels: a map of which fewer are known is a LiDAR's
 _MAX_MEDIAN_DEPTH = 100.0  # [m]: beyond, the depth is probably in millimeters
@@ -80,7 +79,7 @@ class BoxLifter:
     ) -> None:
         one_of("method", method, METHODS)
         if camera_height is not None:
-            check_camera_height(camera_height, most=HIGHEST_CAMERA)
+            flat_ground(camera_height)  # refuses another unit
         for name, sigma in (("depth_sigma", depth_sigma), ("small_sigma", small_sigma)):
             if sigma is not None and not 0 < sigma < 1:
                 raise ValueError(f"{name}={sigma}: give a relative error above 0 and below 1, such as 0.08")
