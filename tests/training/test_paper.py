@@ -3,6 +3,8 @@
 import csv
 import json
 import math
+import re
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -49,6 +51,35 @@ def test_the_recipe_trains(name: str, tmp_path: Path) -> None:
     assert math.isfinite(record["metrics"]["abs_rel"])
     rows = list(csv.DictReader((tmp_path / "run" / "history.csv").open()))
     assert [float(row["lr"]) for row in rows] == pytest.approx([0.9e-3, 0.81e-3])  # after each
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs/kitti_cityscapes.md"
+ROWS = re.findall(r"^eldenet train (\+experiment=\w+_paper model=\w+) (.*)$", PAGE.read_text(), re.M)
+
+
+@pytest.fixture(scope="module")
+def official_layouts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``kitti/depth`` with pictures in ``kitti/raw``, and ``cityscapes``, as the commands name them."""
+    root = tmp_path_factory.mktemp("data")
+    layouts.kitti_depth(root / "kitti", kind="velodyne_raw")
+    layouts.cityscapes(root / "cityscapes", layouts.content((1024, 2048)))
+    return root
+
+
+@pytest.mark.parametrize(("row", "folders"), ROWS, ids=lambda word: word[12:] if word[0] == "+" else "")
+def test_each_row_of_the_tables_runs_by_its_command(
+    row: str, folders: str, official_layouts: Path, tmp_path: Path
+) -> None:
+    words = [*row.split(), *folders.replace("/data", str(official_layouts)).split()]
+    words += ["data.subset={train: 2, val: 1, test: 1}", "data.input_size=[32,64]", "trainer.epochs=1"]
+    words += ["runtime.workers=0", "runtime.threads=1", "runtime.precision=fp32"]
+    train(replace(compose(TrainSettings, words), output=str(tmp_path)))
+    assert math.isfinite(json.loads((tmp_path / "run.json").read_text())["metrics"]["abs_rel"])
+
+
+def test_the_tables_have_five_and_two_rows_for_both_data_sets() -> None:
+    experiments = [row.split()[0] for row, _ in ROWS]
+    assert Counter(experiments) == {"+experiment=kitti_paper": 7, "+experiment=cityscapes_paper": 7}
 
 
 def test_the_network_is_the_one_that_the_prose_describes() -> None:
