@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import NamedTuple
 
 from .campaign import CLASSES, CLEAR, HANG, RAW, SILENT, UNHARMED, Outcome
@@ -48,13 +49,13 @@ def write_page(rows: Sequence[Row]) -> None:
 
 
 def to_markdown(rows: Sequence[Row]) -> str:
-    """The sums, the kinds of file whose damage cannot always be seen, and rows with a broken promise."""
+    """The sums, and the kinds of file whose damage cannot always be seen."""
     parts = {title: [row for row in rows if _part(row) == part] for part, title in TITLES.items()}
     lines = [*_head("attack"), *(_line(title, members) for title, members in parts.items() if members), ""]
-    shown = [row for row in rows if row.counts[SILENT] or is_wrong(row)]
+    shown = sorted((row for row in rows if row.counts[SILENT]), key=lambda row: -row.counts[SILENT])
     if shown:
-        lines += ["Kinds of file with damage that cannot be seen:", "", *_head("kind")]
-        lines += [*(_line(row.name, [row]) for row in shown), ""]
+        kinds = ", ".join(f"{row.name} {row.counts[SILENT]}" for row in shown)
+        lines += [fill(f"Damage that cannot be seen, in 30 attacks on each kind of file: {kinds}.", 120), ""]
     return "\n".join(["", *lines, ""])
 
 
