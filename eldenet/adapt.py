@@ -33,7 +33,8 @@ class AdaptSettings:
     runtime: dict[str, Any] = REQUIRED
     protocol: dict[str, Any] | None = None  # a name from configs/protocol; null: the data set's own
     weights: str = "eldenet_indoor"  # packaged weights, run folder, saved model or Hub id to start from
-    intrinsics: Any = None  # [fx, fy, cx, cy] of the pictures on disk [px]; camera_height needs it
+    # [fx, fy, cx, cy] of the pictures on disk [px]; without camera_height also a file, as data.intrinsics
+    intrinsics: Any = None
     minutes: float = 10  # about how long the command may take
     # of the optical center above the floor [m]: only fits the scale, without depth frames
     camera_height: float | None = None
@@ -48,7 +49,8 @@ class AdaptSettings:
 
     def __post_init__(self) -> None:
         height, pitch = self.camera_height, self.camera_pitch
-        if self.intrinsics is not None:
+        in_files = height is None and isinstance(self.intrinsics, str | dict)  # as data.intrinsics
+        if self.intrinsics is not None and not in_files:
             intrinsic_matrix(self.intrinsics)  # a mistake ends before torch is loaded
         if not 0 < self.minutes < math.inf:
             raise ValueError(f"minutes={self.minutes}: give a number above 0")

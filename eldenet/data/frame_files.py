@@ -36,10 +36,11 @@ def find_frame_files(root: Path, place: str, endings: Sequence[str]) -> dict[Key
     fixed = place.split("*")[0].rpartition("/")[0] if "*" in place else place
     as_file, as_folder = _expressions(place.removeprefix("./").strip("/"))
     found: dict[Key, str] = {}
-    for path in sorted(visible_files(root / fixed, endings)):
+    # HEIC beside the files of another kind is no picture that is passed over
+    for path in sorted(visible_files(root / fixed, (*endings, ".heic", ".heif"))):
         file = path.relative_to(root).as_posix()
         match = as_file.fullmatch(file) or as_folder.fullmatch(file)
-        if match is None:
+        if match is None or path.suffix.lower() not in endings:
             continue
         key = tuple(composed(part) for part in match.groups() if part)
         if key in found:

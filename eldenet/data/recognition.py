@@ -382,7 +382,10 @@ def _lens(
 
 def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, dict[str, Any]]]:
     """The encodings in which the median depth is plausible, with the median as a note."""
-    values = np.concatenate([raw[np.isfinite(raw) & (raw > 0)].ravel() for raw in raws])
+    # the largest 16-bit number is what some recorders write where depth is unknown
+    values = np.concatenate(
+        [raw[np.isfinite(raw) & (raw > 0) & (raw != np.iinfo(np.uint16).max)].ravel() for raw in raws]
+    )
     if not values.size:
         return [("no depth above 0 in the files looked at", {})]
     kind = "float" if values.dtype.kind == "f" else str(values.dtype)

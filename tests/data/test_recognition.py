@@ -71,6 +71,25 @@ def test_data_sets_are_known(data: str, tmp_path: Path) -> None:
     assert {word.removeprefix("data=").partition("_")[0] for word in words} == {data.partition("_")[0]}
 
 
+def test_the_object_benchmark_is_for_predict(tmp_path: Path) -> None:
+    for folder in ("image_2", "calib"):
+        (tmp_path / "training" / folder).mkdir(parents=True)
+    (found,) = recognize(tmp_path)
+    assert found.readings[0].settings == (f"source={tmp_path}/training", "boxes=true")
+
+
+def test_the_largest_number_of_16_bits_is_no_depth(tmp_path: Path) -> None:
+    """7-Scenes writes it where depth is unknown."""
+    for i in range(3):
+        recordings.picture(tmp_path / f"{i}_color.png", i)
+        raw = np.full(SIZE, 2**16 - 1, np.uint16)
+        raw[:10] = 2000
+        cv2.imwrite(str(tmp_path / f"{i}_depth.png"), raw)
+    (found,) = recognize(tmp_path)
+    assert found.readings[0].note == "half of all depth nearer than 2 m, as mm"
+    assert not any("max_depth" in word for word in found.readings[0].settings)
+
+
 def test_every_tree_of_a_data_set_has_a_line_that_is_read(tmp_path: Path) -> None:
     for layout in KNOWN_LAYOUTS:
         if layout.settings[0].startswith("data="):

@@ -12,6 +12,9 @@ from PIL import Image
 from support import recordings
 from support.recordings import CAMERA, COUNT, RECORDERS, SIZE
 
+from eldenet.adapt import AdaptSettings
+from eldenet.compose import compose
+from eldenet.data.camera_files import read_camera
 from eldenet.data.folder import FolderDataset
 from eldenet.data.frame_files import seconds_of
 from eldenet.geometry import pinhole, resize_intrinsics
@@ -296,3 +299,53 @@ def test_transforms_json_is_checked(tmp_path: Path) -> None:
 )
 def test_times_in_names(name: str, time: float | None) -> None:
     assert seconds_of(name) == (time if time is None else pytest.approx(time, abs=1e-6))
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "size"),
+    [
+        ("k.txt", "60 0 31\n0 61 24\n0 0 1\n", None),
+        ("k.txt", "60 0 31 0\n0 61 24 0\n0 0 1 0\n0 0 0 1\n", None),
+        ("k.txt", "60 61 31 24", None),
+        ("k.pincam", "64 48 60 61 31 24", SIZE),
+        ("k.json", '{"fl_x": 60, "fl_y": 61, "cx": 31, "cy": 24, "w": 64, "h": 48}', SIZE),
+        ("k.json", '{"K": [60, 0, 0, 0, 61, 0, 31, 24, 1], "w": 64, "h": 48}', SIZE),
+        ("k.json", '{"intrinsics": [[60, 0, 31], [0, 61, 24], [0, 0, 1]]}', None),
+        ("k.json", '{"intrinsics": {"fx": 60, "fy": 61, "cx": 31, "cy": 24}}', None),
+        (
+            "k.yaml",
+            "image_width: 64\nimage_height: 48\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+            "  data: [60, 0, 31, 0, 61, 24, 0, 0, 1]\n",
+            SIZE,
+        ),
+    ],
+)
+def test_files_of_cameras(file: str, content: str, size: tuple[int, int] | None, tmp_path: Path) -> None:
+    (tmp_path / file).write_text(content)
+    camera = read_camera(tmp_path / file)
+    np.testing.assert_array_equal(camera.matrix, pinhole(*CAMERA))
+    assert camera.size == size
+
+
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        ("pose.txt", "0.8 0.6 0 1\n-0.6 0.8 0 2\n0 0.1 0.9 3\n0 0 0 1\n"),
+        ("k.json", '{"fx": 60}'),
+        ("k.json", "[1, 2]"),
+        ("k.txt", "no camera"),
+        ("k.txt", "0 61 31 24"),
+        ("k.yaml", "camera_matrix: ["),
+    ],
+)
+def test_what_is_no_camera_is_refused(file: str, content: str, tmp_path: Path) -> None:
+    (tmp_path / file).write_text(content)
+    with pytest.raises(ValueError, match=file):
+        read_camera(tmp_path / file)
+
+
+def test_adapt_takes_a_file_of_the_camera_where_it_tunes_on_depth() -> None:
+    words = ["data.root=scan", "intrinsics=camera_matrix.csv"]
+    assert compose(AdaptSettings, words).data["train"]["intrinsics"] == "camera_matrix.csv"
+    with pytest.raises(ValueError, match=r"intrinsics=camera_matrix\.csv: give \[fx"):
+        compose(AdaptSettings, [*words, "camera_height=0.5"])
