@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 UNKNOWN = (0, 0, 0)
 PALE = 150  # of 255: what is added to a third of a color where the network is unsure
-LARGEST_SIGMA = 50.0  # [% of the depth] of the colors of sigma
+LARGEST_SHARE = 50.0  # [% of the depth] of the colors of sigma and of errors
 PANEL_WIDTH = 256  # [px], about
 WIDEST_PANEL = 480  # [px]; wider maps shrink, so that a row of four fits a screen
 GAP = 2  # [px]
 SMALLEST_HEIGHT = 240  # [px]; the numbers of a smaller scale would be illegible
 TITLE_HEIGHT = 18  # [px]
-PANELS = ("image", "depth", "prediction", "relative error (0 to 0.5)")
+PANELS = ("image", "depth [m]", "prediction [m]", "error [% of the depth]")
 
 
 def color_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray | None = None) -> np.ndarray:
@@ -38,9 +38,9 @@ def color_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray | 
 
 
 def color_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Relative error ``|p - g| / g`` as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is 0.5 and more."""
+    """Error ``|p - g| / g`` as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is ``LARGEST_SHARE`` % and more."""
     relative = np.abs(prediction - depth) / np.where(known, depth, 1.0)
-    return _colors(relative / 0.5, cv2.COLORMAP_INFERNO, known)
+    return _colors(100 * relative / LARGEST_SHARE, cv2.COLORMAP_INFERNO, known)
 
 
 def _colors(share: np.ndarray, palette: int, known: np.ndarray | None) -> np.ndarray:
@@ -52,7 +52,7 @@ def _colors(share: np.ndarray, palette: int, known: np.ndarray | None) -> np.nda
 
 
 def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Tensor") -> np.ndarray:
-    """One picture ``(H, 4 W + w, 3)`` uint8: image, ground truth, prediction, relative error, scale [m].
+    """One picture ``(H, 4 W + w, 3)`` uint8: image, ground truth, prediction, error, their scales [m], [%].
 
     Takes ``image (3, h, w)`` in [0, 1] and ``(1, H, W)`` maps [m]; the two depth panels share one range.
     Maps wider than ``WIDEST_PANEL`` shrink, and their known points stay points.
@@ -77,6 +77,7 @@ def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Ten
     panels = [_enlarged(panel, times) for panel in panels]
     gap = _blank(height * times, GAP)
     panels.append(depth_scale(float(near), max(float(far), float(near) + 0.05), height * times))
+    panels.append(share_scale(height * times))
     return np.concatenate([piece for panel in panels for piece in (panel, gap)][:-1], axis=1)
 
 
@@ -95,15 +96,18 @@ def _write(picture: np.ndarray, text: str, place: tuple[int, int], size: float) 
     cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 1, cv2.LINE_AA)
 
 
-def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = ()) -> np.ndarray:
-    """Stack rows ``(h, w, 3)`` of :func:`depth_row` below ``titles``; narrow rows are padded."""
+def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = (), *, scales: int = 1) -> np.ndarray:
+    """Stack rows ``(h, w, 3)`` below ``titles`` of their panels; narrow rows are padded.
+
+    Each row ends in ``scales`` scales: two of :func:`depth_row`.
+    """
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
     gap = _blank(GAP, width)
     pieces = [piece for row in rows for piece in (row, gap)][:-1]
     if titles:
         strip = _blank(TITLE_HEIGHT, width)
-        panels = rows[0].shape[1] - depth_scale(0.0, 1.0, rows[0].shape[0]).shape[1]
+        panels = rows[0].shape[1] - scales * depth_scale(0.0, 1.0, rows[0].shape[0]).shape[1]
         for number, title in enumerate(titles):
             _write(strip, title, (number * panels // len(titles) + 3, 13), 0.42)
         pieces.insert(0, strip)
@@ -196,16 +200,19 @@ def photo_beside_depths(
 def photo_beside_sigma(photo: np.ndarray, depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """One picture ``(h, w, 3)`` uint8 RGB: photo, sigma in percent of the depth, scale.
 
-    Dark is sure; bright is ``LARGEST_SIGMA`` percent and more. All maps are ``(H, W)`` [m].
+    Dark is sure; bright is ``LARGEST_SHARE`` percent and more. All maps are ``(H, W)`` [m].
     """
-    colors = color_share(100 * sigma / depth)
-    scale = (0.0, LARGEST_SIGMA)
-    return _beside(photo, [colors], lambda height: depth_scale(*scale, height, unit="%", color=color_share))
+    return _beside(photo, [color_share(100 * sigma / depth)], share_scale)
+
+
+def share_scale(height: int) -> np.ndarray:
+    """Scale ``(height, w, 3)`` uint8 RGB of :func:`color_share` [%]."""
+    return depth_scale(0.0, LARGEST_SHARE, height, unit="%", color=color_share)
 
 
 def color_share(percent: np.ndarray, *_range: float) -> np.ndarray:
-    """Color ``(H, W)`` [%] as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is ``LARGEST_SIGMA`` and more."""
-    return _colors(percent / LARGEST_SIGMA, cv2.COLORMAP_INFERNO, None)
+    """Color ``(H, W)`` [%] as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is ``LARGEST_SHARE`` and more."""
+    return _colors(percent / LARGEST_SHARE, cv2.COLORMAP_INFERNO, None)
 
 
 def _beside(

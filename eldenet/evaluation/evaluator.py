@@ -184,4 +184,4 @@ def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol,
             prediction = protocol.align(prediction, batch["depth"], valid)
             image = protocol.resize_to_gt(batch["image"], batch["depth"].shape[-2:])
             pictures.append(depth_row(image[0], batch["depth"][0], batch["mask"][0], prediction[0]))
-    return stack_rows(pictures, PANELS)
+    return stack_rows(pictures, PANELS, scales=2)

@@ -287,7 +287,7 @@ def video_writer(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray
         yield lambda frame: frames.append(Image.fromarray(frame))
         options: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 4}
     else:
-        yield lambda frame: frames.append(Image.fromarray(frame).quantize(96, dither=Image.Dither.NONE))
+        yield lambda frame: frames.append(Image.fromarray(frame).quantize(method=Image.Quantize.FASTOCTREE))
         options = {"optimize": False}
     duration = round(1000 / per_second)
     with part_file(path) as unfinished:

@@ -1,5 +1,7 @@
 """Draw boxes: into the image, and in a bird's-eye view with a grid in meters."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -14,6 +16,7 @@ _COLOR_OF = {
     "pedestrian": (80, 200, 255), "cyclist": (120, 230, 110), "bicycle": (120, 230, 110),
     "bus": (255, 110, 190), "box": (170, 220, 80), "pillar": (60, 220, 200), "motorcycle": (90, 150, 255),
 }  # fmt: skip
+_PATCH, _ROWS = (20, 20, 20), 4
 _GROUND, _GRID, _FIELD_OF_VIEW, _INK = (250, 250, 250), (222, 222, 222), (238, 243, 250), (90, 90, 90)
 
 
@@ -40,11 +43,12 @@ def draw_boxes(
         camera: of the image.
         front: shade the front face of all boxes, or of those chosen ``(N,)``: for boxes whose front is known.
         labels: write class and distance [m] above each box, with its interval if it has one, and a question
-            mark if it is doubtful.
+            mark if it is doubtful. Where labels would overlap, those of distant boxes move up or go.
     """
     picture = np.ascontiguousarray(image).copy()
     thick = max(1, round(image.shape[0] / 300))
     front = np.broadcast_to(front, len(boxes))
+    texts = []
     for index in np.argsort(-np.linalg.norm(boxes.center, axis=1)):  # distant boxes first
         corners = camera.to_camera(boxes.corners[index])
         color = color_of(boxes.names[boxes.label[index]])
@@ -68,13 +72,14 @@ def draw_boxes(
                 text += " ?"
             if boxes.track_id is not None:
                 text = f"#{boxes.track_id[index]} {text}"
-            _write(picture, text, pixels[:, 0].min(), pixels[:, 1].min(), color)
+            texts.append((text, pixels[:, 0].min(), pixels[:, 1].min(), color))
+    _write_all(picture, texts[::-1])
     return picture
 
 
 def draw_detections(image: np.ndarray, detections: Detections2D) -> np.ndarray:
     """Draw 2D boxes, classes and scores on a copy of ``image (H, W, 3)`` uint8 RGB."""
-    picture = np.ascontiguousarray(image).copy()
+    picture, texts = np.ascontiguousarray(image).copy(), []
     for box, score, name in zip(detections.xyxy, detections.score, detections.classes, strict=True):
         color = color_of(name)
         # the outermost pixels inside the box and the image
@@ -82,7 +87,8 @@ def draw_detections(image: np.ndarray, detections: Detections2D) -> np.ndarray:
         left, top = np.clip(np.ceil(box[:2]), 0, last).astype(int).tolist()
         right, bottom = np.clip(np.floor(box[2:]), 0, last).astype(int).tolist()
         cv2.rectangle(picture, (left, top), (right, bottom), color, 1)
-        _write(picture, f"{name} {score:.2f}", left, top, color)
+        texts.append((f"{name} {score:.2f}", left, top, color))
+    _write_all(picture, texts)
     return picture
 
 
@@ -126,7 +132,7 @@ def draw_bev(
     for x in np.arange(-np.floor(side / step) * step, side, step):
         column = round(wide / 2 + x * scale)
         cv2.line(panel, (column, 0), (column, height), _GRID, 1)
-    for z in np.arange(step, reach, step):
+    for z in np.arange(step, reach - 12 / scale, step):  # a number below the upper edge
         place_of_text = (3, round(height - 6 - z * scale) - 2)
         cv2.putText(panel, f"{z:g} m", place_of_text, _FONT, 0.35, _INK, 1, cv2.LINE_AA)
     if truth is not None:
@@ -186,11 +192,21 @@ def _fixed(points: np.ndarray) -> np.ndarray:
     return np.asarray(np.round(np.clip(points, -20000, 20000) * 16), np.int32)
 
 
-def _write(picture: np.ndarray, text: str, left: float, top: float, color: tuple[int, int, int]) -> None:
-    """Write text on a dark patch of ``(H, W, 3)`` uint8, in place."""
+def _write_all(picture: np.ndarray, texts: Sequence[tuple[str, float, float, tuple[int, int, int]]]) -> None:
+    """Write texts ``(text, left, top, color)`` on dark patches of ``(H, W, 3)`` uint8, in place.
+
+    The first ones stay where they belong; others move up by at most ``_ROWS`` lines, or are left out.
+    """
     size = max(0.35, picture.shape[0] / 900)
-    (wide, tall), _ = cv2.getTextSize(text, _FONT, size, 1)
-    x = int(np.clip(left, 0, max(0, picture.shape[1] - wide - 2)))
-    y = int(np.clip(top - 3, tall + 2, picture.shape[0] - 2))
-    cv2.rectangle(picture, (x, y - tall - 2), (x + wide + 2, y + 2), (20, 20, 20), -1)
-    cv2.putText(picture, text, (x + 1, y), _FONT, size, color, 1, cv2.LINE_AA)
+    taken = np.zeros(picture.shape[:2], bool)
+    for text, left, top, color in texts:
+        (wide, tall), _ = cv2.getTextSize(text, _FONT, size, 1)
+        x = int(np.clip(left, 0, max(0, picture.shape[1] - wide - 2)))
+        lowest = int(np.clip(top - 3, tall + 2, picture.shape[0] - 2))
+        for y in range(lowest, max(tall + 1, lowest - _ROWS * (tall + 5)), -1):
+            patch = (slice(y - tall - 2, y + 3), slice(x, x + wide + 3))
+            if not taken[patch].any():
+                picture[patch] = _PATCH
+                cv2.putText(picture, text, (x + 1, y), _FONT, size, color, 1, cv2.LINE_AA)
+                taken[patch] = True
+                break

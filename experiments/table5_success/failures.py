@@ -55,7 +55,10 @@ RECENT = 0.5  # [s]
 SAME_SPOT = 0.15  # between a seen point and the touched spot [m]
 WAY_OUT = 1.0  # time that an arc must be free, and time before the end at which it is checked [s]
 ZOOM = 6.0  # side of the square that a picture shows [m]
-_PICTURE = 480  # [px]
+LEGEND = (
+    "blue: path; yellow: robot at its end; lines: its view; red: last scan; cross: touched spot; ring: goal"
+)
+_PICTURE, _STRIP, _GAP = 480, 28, 10  # [px]
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,9 @@ def _repeat(arena: Arena, policy: Policy, episodes: Episodes) -> tuple[Failure, 
         turn=round(float(command[0, 1]), 2),
         seconds=round(float(episodes.seconds[0]), 1),
         remaining=round(float(episodes.goals()[0, 0]), 2),
-        picture=_picture(scene, episodes, None if event is Event.TIMEOUT else spot, f"{arena.name}: {kind}"),
+        picture=_picture(
+            scene, episodes, None if event is Event.TIMEOUT else spot, _title(arena, touched, kind)
+        ),
     ), event
 
 
@@ -213,6 +218,10 @@ def _kind(
     return "left the view" if unseen_for > RECENT else "in view"
 
 
+def _title(arena: Arena, touched: str, kind: str) -> str:
+    return f"arena {arena.name.rpartition('-')[2]}: {touched or 'time'}, {kind}"
+
+
 def _picture(scene: Scene, episodes: Episodes, spot: np.ndarray | None, title: str) -> np.ndarray:
     """Cut the square of 6 m around the robot out of the top view."""
     top = scene.top_view(episodes, 0)
@@ -221,9 +230,16 @@ def _picture(scene: Scene, episodes: Episodes, spot: np.ndarray | None, title: s
     side, center = _PICTURE, scene.pixel(*episodes.poses[0, :2])
     left, upper = (int(np.clip(at - side // 2, 0, scene.size - side)) for at in center)
     part = top[upper : upper + side, left : left + side].copy()
-    cv2.rectangle(part, (0, 0), (side, 20), (255, 255, 255), -1)
-    cv2.putText(part, title, (6, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
-    return part
+    meter = round(side / ZOOM)
+    cv2.line(part, (12, side - 12), (12 + meter, side - 12), (0, 0, 0), 3)
+    _write(part, "1 m", (12, side - 20))
+    strip = np.full((_STRIP, side, 3), 255, np.uint8)
+    _write(strip, title, (2, _STRIP - 8))
+    return np.concatenate([strip, part])
+
+
+def _write(picture: np.ndarray, text: str, place: tuple[int, int]) -> None:
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def draw_worst(failures: Sequence[Failure], most: int = 12, across: int = 4) -> np.ndarray:
@@ -232,8 +248,11 @@ def draw_worst(failures: Sequence[Failure], most: int = 12, across: int = 4) -> 
     pictures = [failure.picture for failure in worst]
     across = min(across, len(pictures))
     pictures += [np.full_like(pictures[0], 255)] * (-len(pictures) % across)
+    pictures = [np.pad(each, ((0, _GAP), (0, _GAP), (0, 0)), constant_values=255) for each in pictures]
     rows = [np.concatenate(pictures[at : at + across], axis=1) for at in range(0, len(pictures), across)]
-    return np.concatenate(rows, axis=0)
+    strip = np.full((_STRIP, rows[0].shape[1], 3), 255, np.uint8)
+    _write(strip, LEGEND, (2, _STRIP - 8))
+    return np.concatenate([*rows, strip], axis=0)
 
 
 def main(words: Sequence[str]) -> None:

@@ -64,7 +64,7 @@ def test_the_cause_of_a_collision_is_found(world, make, kind, touched, bearing):
     if bearing is not None:
         assert abs(abs(failure.bearing) - bearing) <= 20
     assert failure.seconds == pytest.approx(rows[0].seconds)
-    assert failure.picture.shape == (480, 480, 3)
+    assert failure.picture.shape == (480 + 28, 480, 3)  # a title above
 
 
 def test_time_outs_are_failures_and_successes_are_not():
@@ -95,4 +95,5 @@ def test_the_script_writes_a_table_and_a_picture(tmp_path):
         rows = list(csv.DictReader(file))
     assert rows
     assert {row["kind"] for row in rows} <= {"in view", "unseen", "left the view", "boxed in"}
-    assert cv2.imread(str(tmp_path / "failures_60.png")).shape[0] % 480 == 0
+    rows, rest = divmod(cv2.imread(str(tmp_path / "failures_60.png")).shape[0], 28 + 480 + 10)
+    assert (rows, rest) == (1, 28)  # the legend below

@@ -29,6 +29,16 @@ def test_boxes_beside_and_behind_the_camera_are_cut_or_left_out(z):
     assert (drawn != BLANK).any() == (z > -2)
 
 
+def test_labels_do_not_overlap_and_the_nearest_stays_in_place():
+    alone = draw_boxes(BLANK, boxes([0.0, 0.8, 10.0]), CAMERA)
+    row = boxes([[0.05 * place, 0.8, 10.0 + 0.3 * place] for place in range(12)])
+    drawn = draw_boxes(BLANK, row, CAMERA)
+    patch = ((alone != draw_boxes(BLANK, boxes([0.0, 0.8, 10.0]), CAMERA, labels=False)).any(-1)).nonzero()
+    np.testing.assert_array_equal(drawn[patch], alone[patch])
+    dark = (drawn == 20).all(-1).sum() / (alone == 20).all(-1).sum()
+    assert 1.5 < dark < 5  # of twelve labels, those that fit above it
+
+
 def test_the_front_face_is_shaded_if_it_is_known():
     one = boxes([0.0, 0.8, 10.0], yaw=np.pi / 2)  # its front looks at the camera
     plain, shaded = (draw_boxes(BLANK, one, CAMERA, front=front, labels=False) for front in (False, True))
