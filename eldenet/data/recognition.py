@@ -16,6 +16,7 @@ from eldenet.data.camera_files import CAMERA_ENDINGS, Camera, read_camera
 from eldenet.data.folder import FolderDataset
 from eldenet.data.frame_files import Key, find_frame_files, other_ways, partners
 from eldenet.data.frame_lists import read_frame_list, stated_scale
+from eldenet.data.inspection import PLAUSIBLE
 from eldenet.data.io import ENCODINGS, IMAGE_ENDINGS, is_turned, read_image, read_raw_depth
 from eldenet.data.known_layouts import KNOWN_LAYOUTS
 from eldenet.data.recordings import DEPTH_ENDINGS, Layout, RecordedFrame
@@ -25,7 +26,6 @@ from eldenet.geometry import same_aspect, size_of_aspect
 MOST_FILES = 200_000  # below a folder that are looked at
 MOST_CAMERAS = 20  # files beside the frames that are read as a camera
 SAMPLES = 8  # depth maps whose numbers are looked at
-PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
 INPUT_SIZE, MAX_DEPTH = (240, 320), 10.0  # of data=folder
 TOLERANCE = 0.02  # of data=folder [s]
 _DIGITS = re.compile(r"\d+(?:\.\d+)?")
@@ -98,7 +98,11 @@ def _recordings(folder: Path) -> list[Recognized]:
     found: dict[frozenset[tuple[str, ...]], Recognized] = {}
     for title, settings in candidates:
         layout = Layout(**settings, tolerance=TOLERANCE)
-        frames = list(layout.frames(folder, strict=False).values())
+        try:
+            frames = list(layout.frames(folder, strict=False).values())
+        except (ValueError, OSError) as error:
+            found[frozenset({(title,)})] = Recognized(f"a recording: {title}", [f"not read so yet: {error}"])
+            continue
         pairs = frozenset(frame.files for frame in frames)
         if pairs not in found:  # by time and by order may be the same
             found[pairs] = _describe(folder, title, settings, frames, series, files)
@@ -243,7 +247,10 @@ def _of(kind: str, series: Sequence[_Series]) -> list[_Series]:
 
 def _keys(folder: Path, series: _Series) -> list[Key]:
     endings = {"picture": IMAGE_ENDINGS, "camera": CAMERA_ENDINGS}.get(series.kind, DEPTH_ENDINGS)
-    return list(find_frame_files(folder, series.place, endings))
+    try:
+        return list(find_frame_files(folder, series.place, endings))
+    except ValueError:  # two files of one name
+        return []
 
 
 def _describe(

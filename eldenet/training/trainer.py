@@ -472,11 +472,12 @@ class Trainer:
                 if "more than 1 value per channel" not in str(error):
                     raise
                 sizes = (size for size in range(2, len(self.train_set) + 1))
-                works = next(size for size in sizes if self._sampler(size).smallest_batch > 1)
+                works = next((size for size in sizes if self._sampler(size).smallest_batch > 1), None)
+                advice = f"use trainer.batch_size={works}" if works else "give more frames, or larger ones"
                 raise ValueError(
                     f"trainer.batch_size={self.batch_size} leaves a batch of one frame of "
-                    f"{len(self.train_set)}, where this network's BatchNorm sees one value per channel: use "
-                    f"trainer.batch_size={works}"
+                    f"{len(self.train_set)}, where this network's BatchNorm sees one value per channel: "
+                    f"{advice}"
                 ) from error
 
     # ------------------------------------------------------------------ after an epoch

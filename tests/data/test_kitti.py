@@ -296,7 +296,7 @@ def test_lists_of_the_field_come_with_the_package(name: str, frames: int, drives
 
 
 def test_missing_drives_are_named_in_one_line(tmp_path: Path) -> None:
-    """Two of 28 drives: how many frames are left is said, and taking them is one setting."""
+    """Two of 28 drives: how many frames are left is said, and taking them is one setting; with all, none."""
     here = [place for place in frame_list("eigen_697") if place.drive.endswith(("0002_sync", "0009_sync"))]
     drives = tuple(sorted({place.drive for place in here}))
     kitti_raw(tmp_path, drives)
@@ -312,3 +312,10 @@ def test_missing_drives_are_named_in_one_line(tmp_path: Path) -> None:
     assert f"{len(here)} of 697 frames are left" in str(error.value)
     assert "\n" not in str(error.value)
     assert len(instantiate(config.data["test"], "data.test", on_error="skip")) == len(here)
+    for place in frame_list("eigen_697"):
+        kitti_calibration(tmp_path, place.date)
+        for file in (f"image_02/data/{place.number}.png", f"velodyne_points/data/{place.number}.bin"):
+            path = tmp_path / place.date / place.drive / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+    assert len(instantiate(config.data["test"], "data.test")) == 697

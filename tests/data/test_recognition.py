@@ -130,6 +130,16 @@ def test_what_is_missing_and_what_is_refused_is_said(tmp_path: Path) -> None:
     assert not any("intrinsics" in word for reading in found.readings for word in reading.settings)
 
 
+def test_a_list_with_a_wrong_line_is_explained(tmp_path: Path) -> None:
+    RECORDERS["associations"].write(tmp_path, SIZE)
+    file = tmp_path / "associations.txt"
+    file.write_text(file.read_text().replace("1305031102.160407 depth", "1305031109.160407 depth"))
+    by_list, by_time = recognize(tmp_path)
+    assert not by_list.readings
+    assert "line 1: 6.99 s lie between the picture and its depth" in by_list.facts[0]
+    assert by_time.readings
+
+
 def test_far_depth_and_another_aspect_are_in_the_line(tmp_path: Path) -> None:
     for i in range(3):
         for folder, picture in (

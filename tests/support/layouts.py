@@ -188,7 +188,7 @@ def kitti_frame(drive: str) -> KITTIContent:
 
 def kitti_calibration(raw: Path, date: str, *, partial: bool = False) -> None:
     """The files of one date; the partial one holds the projections alone."""
-    fx = FOCAL[date]
+    fx = FOCAL.get(date, 721.5377)
     lines = ["calib_time: 09-Jan-2012 13:57:47"]
     for camera, offset in ((2, 44.85728), (3, -339.5242)):
         rows = f"{fx} 0 609.5593 {offset} 0 {fx} 172.854 0.2163791 0 0 1 0.002745884"

@@ -145,6 +145,15 @@ def test_a_batch_of_one_frame_that_batchnorm_cannot_take(tmp_path: Path, frames,
         make_trainer(batch_size=batch_size).fit(model, loss, data, tmp_path, ONE_THREAD)
 
 
+def test_one_frame_that_batchnorm_cannot_take(tmp_path: Path) -> None:
+    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
+    data = TrainingData(SyntheticDepth(1), SyntheticDepth(2), PROTOCOL)
+    with pytest.raises(ValueError, match="give more frames, or larger ones"):
+        make_trainer().fit(
+            eldenet.DepthNet(OneValue(), eldenet.heads.LinearHead()), loss, data, tmp_path, ONE_THREAD
+        )
+
+
 def test_a_batch_of_one_frame_trains_where_it_can(tmp_path):
     _, _, progress = fit(tmp_path, frames=5, batch_size=2, epochs=1)
     assert math.isfinite(progress.history[0]["train_total"])
