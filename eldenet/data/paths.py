@@ -55,7 +55,7 @@ def with_endings(paths: Iterable[Path], endings: Sequence[str], folder: Path) ->
         counts = Counter(path.suffix.lower() for path in others)
         each = ", ".join(f"{count} {ending}" for ending, count in counts.most_common())
         warn_once(
-            f"{folder}: {len(others)} pictures are passed over, as their format is not read ({each}; such as "
+            f"{folder}: pictures in formats that are not read are passed over ({each}; such as "
             f"{min(others).name}): convert them to JPEG or PNG"
         )
     return found

@@ -156,7 +156,7 @@ def exif_focal(photo: Photo, size: tuple[int, int]) -> float | None:
         return None
     focal = focal_of_film(millimeters, size)
     try:
-        check_focal(focal, size, f"the EXIF's {millimeters:g} mm")
+        check_focal(focal, size, f"the EXIF's {millimeters:g} mm", ", which no lens has")
     except ValueError as error:
         logging.getLogger("eldenet").warning("%s: %s; the EXIF's lens is not used", photo, error)
         return None

@@ -22,6 +22,7 @@ from .accidents import full_disk, kills, on_this_disk, two_caches, two_trainings
 from .campaign import Outcome, attack, damages  # noqa: E402
 from .hostile import attack_all  # noqa: E402
 from .kinds import COSTLY, KINDS  # noqa: E402
+from .mistakes import try_all  # noqa: E402
 from .table import RESULTS, Row, counted, is_wrong, write_page  # noqa: E402
 
 
@@ -60,6 +61,8 @@ def campaign(folder: Path, *, quick: bool, only: str) -> list[Row]:
         return rows
     for name, outcome in attack_all(folder / "hostile", quick=quick).items():
         add("hostile", name, [outcome])
+    for name, outcomes in try_all(folder / "mistakes", 1 if quick else 10).items():
+        add("mistake", name, outcomes)
     add("accident", "two processes fill a frame cache", two_caches(folder / "caches", 2 if quick else 20))
     if quick:
         return rows

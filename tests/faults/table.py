@@ -15,6 +15,7 @@ TITLES = {
     "seen": "damaged files with a checksum",
     "unseen": "damaged files without one",
     "hostile": "hostile files",
+    "mistake": "other units and odd files",
     "full disk": "full disk, by what is written",
     "accident": "kills and two processes",
 }
