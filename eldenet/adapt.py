@@ -70,8 +70,8 @@ def adapt(s: AdaptSettings) -> bool:
     ``s.output/model`` holds the weights, whichever are better.
 
     Raises:
-        ValueError: a setting does not fit, there are too few frames, or the factor of the depth is not
-            plausible; another process writes into the folder.
+        ValueError: a setting does not fit, frames are too few or prove nothing (copies, constant or inverse
+            depth), or the factor of the depth is not plausible; another process writes into the folder.
         FileNotFoundError: there are no such weights, frames or pictures.
     """
     find_checkpoint(s.weights, "weights", trained=True)

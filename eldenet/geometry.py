@@ -385,6 +385,10 @@ class PinholeCamera:
         intrinsics: ``(3, 3)`` K [px].
         rotation: ``(3, 3)`` R, level from camera.
         translation: ``(3,)`` t, the optical center in the level frame [m].
+
+    Raises:
+        ValueError: an array has another shape, or the intrinsics are those of no camera, see
+            :func:`intrinsic_matrix`.
     """
 
     intrinsics: np.ndarray

@@ -28,6 +28,7 @@ from eldenet.data.kitti_files import (
 )
 from eldenet.data.paths import find_root, incomplete
 from eldenet.data.splits import hold_out
+from eldenet.geometry import intrinsic_matrix
 from eldenet.system.checks import one_of
 from eldenet.system.errors import reading
 from eldenet.system.files import read_text
@@ -218,9 +219,10 @@ class KITTISelection(KITTIFrames):
         text = read_text(file)
         with reading(file, "matrix of nine numbers"):
             camera = np.array([float(number) for number in text.split()]).reshape(3, 3)
-        if not (np.isfinite(camera).all() and camera[0, 0] > 0 and camera[1, 1] > 0 and camera[2, 2] == 1):
-            raise ValueError(f"{file} must hold intrinsics (fx 0 cx, 0 fy cy, 0 0 1): fetch it again")
-        return camera
+        try:
+            return intrinsic_matrix(camera)
+        except ValueError as error:
+            raise ValueError(f"{file} must hold fx 0 cx, 0 fy cy, 0 0 1 ({error}): fetch it again") from error
 
 
 def _both(cameras: Sequence[int]) -> Sequence[int]:

@@ -45,6 +45,9 @@ class Lens:
     Attributes:
         origins: number of pictures by where their focal length comes from.
         centered: whether :meth:`camera_of` had to assume square pixels and a principal point in the center.
+
+    Raises:
+        ValueError: the intrinsics are those of no camera.
     """
 
     def __init__(
@@ -63,7 +66,11 @@ class Lens:
         self.centered = False
 
     def focal_of(self, size: Sequence[int], photo: "Photo | None" = None) -> float | None:
-        """Fx [px] of a picture of ``(height, width, ...)``; None: the canonical camera's."""
+        """Fx [px] of a picture of ``(height, width, ...)``; None: the canonical camera's.
+
+        Raises:
+            ValueError: no picture of this size has such a lens.
+        """
         if self.canonical_px is None:
             return None
         focal, origin = self._find(size, photo)

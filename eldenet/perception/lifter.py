@@ -109,7 +109,11 @@ class BoxLifter:
             camera: of the image.
 
         Raises:
-            ValueError: the depth is not a map, or the detections do not fit it.
+            ValueError: the depth is not a map, the detections do not fit it, or the camera is that of no lens
+                (:func:`eldenet.geometry.check_intrinsics`).
+
+        Warns:
+            UserWarning: no pixel is known, or half of the depth is beyond 100 m, as in millimeters.
         """
         estimate = as_estimate(depth)
         depth = np.asarray(estimate.depth)
