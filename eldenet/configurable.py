@@ -128,7 +128,7 @@ def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
     if not _within(module, trusted):
         raise ValueError(
             f"refused to build {target!r}: its module is not one of {', '.join(trusted)}. If you trust that "
-            "code, name it: trusted_modules=[...]"
+            f"code, add 'trusted_modules=[{module}]' (in Python trusted_modules=[{module!r}])"
         )
     try:
         part = getattr(importlib.import_module(module), name, None)

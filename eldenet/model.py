@@ -11,7 +11,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from eldenet.backbones.base import Backbone
-from eldenet.backbones.weights import IMAGENET_MEAN, IMAGENET_STD, load_weights, read_weights
+from eldenet.backbones.weights import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    load_weights,
+    read_weights,
+    until_stalled,
+)
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.geometry import in_meters
@@ -317,12 +323,16 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
     from huggingface_hub import snapshot_download
 
     try:
+        files = [CONFIG_NAME, WEIGHTS_NAME]
         folder = Path(
-            snapshot_download(str(source), revision=revision, allow_patterns=[CONFIG_NAME, WEIGHTS_NAME])
+            until_stalled(
+                lambda: snapshot_download(str(source), revision=revision, allow_patterns=files), str(source)
+            )
         )
     except Exception as error:  # the Hub client raises many kinds
+        reason = str(error) if isinstance(error, TimeoutError) else type(error).__name__
         raise FileNotFoundError(
-            f"there is no folder {source}, and the Hub does not give it ({type(error).__name__}): give a run "
+            f"there is no folder {source}, and the Hub does not give it ({reason}): give a run "
             "folder, a model folder, a Hub id or packaged weights (eldenet.list_weights())"
         ) from error
     _complete(folder, source)

@@ -30,6 +30,29 @@ def test_an_unreachable_hub_fails_within_seconds(monkeypatch: pytest.MonkeyPatch
     assert time.perf_counter() - start < 5
 
 
+def test_a_hub_that_stalls_ends_and_a_slow_one_does_not(
+    saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path))
+    monkeypatch.setattr("eldenet.backbones.weights.STALLED", 0.4)
+
+    def slow(repo_id: str, **options: Any) -> str:
+        arriving = tmp_path / "models--somebody--depth/blobs/a.incomplete"
+        arriving.parent.mkdir(parents=True)
+        for count in range(5):
+            arriving.write_bytes(bytes(count + 1))
+            time.sleep(0.25)
+        return str(saved)
+
+    monkeypatch.setattr("huggingface_hub.snapshot_download", slow)
+    assert same_model(eldenet.load("somebody/depth"), eldenet.load(saved))
+    monkeypatch.setattr("huggingface_hub.snapshot_download", lambda *_, **__: time.sleep(60))
+    with pytest.raises(
+        FileNotFoundError, match=r"does not give it \(nothing arrived for 0.4 s\): give a run"
+    ):
+        eldenet.load("somebody/depth")
+
+
 def test_a_hub_id_loads_like_a_folder(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {}
 

@@ -1,10 +1,13 @@
 """Read weights from a local file, torchvision or the Hugging Face Hub, and load them into a network."""
 
 import pickle
+import queue
 import re
+import threading
+import time
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ from torch import Tensor, nn
 from eldenet.system.errors import reading
 
 Weights = dict[str, Tensor]
+STALLED = 60.0  # without a byte from the Hub [s]
 
 #: Of RGB in [0, 1]; pictures for ImageNet weights are normalized by them, unless the weights say otherwise.
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -165,7 +169,48 @@ def download_from_hub(repository: str, filename: str = "model.safetensors") -> P
 
     # which errors depends on the versions of the Hub's client and its HTTP library
     with downloading(f"{filename} from https://huggingface.co/{repository}", Exception):
-        return Path(hf_hub_download(repository, filename))
+        return Path(until_stalled(lambda: hf_hub_download(repository, filename), repository))
+
+
+def until_stalled(download: Callable[[], str], repository: str) -> str:
+    """Return what ``download`` returns; it may take any time, as long as something arrives.
+
+    Raises:
+        TimeoutError: nothing arrived from the Hub for :data:`STALLED` seconds, whatever its client's limits.
+    """
+    from huggingface_hub import constants
+
+    folders = [Path(constants.HF_HUB_CACHE) / f"models--{repository.replace('/', '--')}"]
+    folders.append(Path(constants.HF_XET_CACHE))
+    answer: queue.SimpleQueue[str | BaseException] = queue.SimpleQueue()
+
+    def fetch() -> None:
+        try:
+            answer.put(download())
+        except BaseException as error:  # raised where the answer is awaited
+            answer.put(error)
+
+    threading.Thread(target=fetch, daemon=True).start()
+    size, moved = -1, time.monotonic()
+    while time.monotonic() - moved < STALLED:
+        with suppress(queue.Empty):
+            found = answer.get(timeout=min(1.0, STALLED))
+            if isinstance(found, BaseException):
+                raise found
+            return found
+        now = _bytes_in(folders)
+        if now != size:
+            size, moved = now, time.monotonic()
+    raise TimeoutError(f"nothing arrived for {STALLED:g} s")
+
+
+def _bytes_in(folders: Sequence[Path]) -> int:
+    """Bytes of all files in these folders, which may change meanwhile."""
+    total = 0
+    for file in (file for folder in folders for file in folder.rglob("*")):
+        with suppress(OSError):
+            total += file.stat().st_size
+    return total
 
 
 @contextmanager
