@@ -14,6 +14,12 @@ USER_ERRORS = (ValueError, OSError, FloatingPointError, ImportError)
 AGAIN = "fetch or write it again"
 FULL = (errno.ENOSPC, errno.EDQUOT)
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EFBIG)
+# errors that name no file, and what to do
+NAMELESS = {
+    errno.EMFILE: "raise the number of files that may be open (ulimit -n 1024), or lower runtime.workers",
+    errno.EROFS: "workers need a writable /dev/shm; runtime.workers=0 does without them",
+    errno.EFBIG: "raise the largest size of a file (ulimit -f unlimited)",
+}
 # how torch hands over an error of a worker that loads data: with its traceback inside
 _IN_A_WORKER = re.compile(r"Caught (\w+) in DataLoader worker process \d+\..*\n\1: (.*)", re.DOTALL)
 
@@ -75,6 +81,8 @@ def line_of(error: BaseException) -> str:
     """Return what a command prints for an error; the system's own errors name file and reason."""
     if isinstance(error, OSError) and error.errno in FULL:
         return f"no space left on {error.filename or 'this disk'}: free some space and start again"
+    if isinstance(error, OSError) and error.errno in NAMELESS and not error.filename:
+        return f"{error.strerror}: {NAMELESS[error.errno]}"
     if isinstance(error, OSError) and error.errno and error.filename:
         advice = ": give another folder or file" if error.errno in CLOSED else ""
         return f"{error.filename}: {error.strerror}{advice}"

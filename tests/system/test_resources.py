@@ -1,5 +1,6 @@
 """Cores and memory of a machine or a container, and the resources that a run chooses."""
 
+import errno
 import os
 import warnings
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 import torch
 
 from eldenet.system import resources
+from eldenet.system.errors import line_of
 from eldenet.system.resources import available_cores, available_memory, choose_resources
 
 
@@ -71,3 +73,23 @@ def test_choosing_resources_turns_tf32_off() -> None:
         assert not torch.backends.cuda.matmul.allow_tf32
     finally:
         torch.backends.cudnn.allow_tf32 = before
+
+
+def test_too_few_open_files_are_refused_and_a_low_limit_is_raised(monkeypatch) -> None:
+    import resource
+
+    limits, changed = [(20, 20)], []
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: limits[0])
+    monkeypatch.setattr(resource, "setrlimit", lambda kind, pair: changed.append(pair))
+    with pytest.raises(ValueError, match=r"only 20 files may be open at once: allow 64 or more \(ulimit -n"):
+        choose_resources(device="cpu", threads=1, workers=0)
+    for limits[0] in ((20, 4096), (1024, 4096), (-1, -1)):
+        choose_resources(device="cpu", threads=1, workers=0)
+    assert changed == [(64, 4096)]
+
+
+def test_errors_that_name_no_file_say_what_to_do() -> None:
+    said = {errno.EMFILE: "ulimit -n", errno.EROFS: "runtime.workers=0", errno.EFBIG: "ulimit -f"}
+    for number, words in said.items():
+        assert words in line_of(OSError(number, os.strerror(number)))
+    assert line_of(OSError(errno.EROFS, "Read-only file system", "/a")).startswith("/a: Read-only")
