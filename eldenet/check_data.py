@@ -89,7 +89,7 @@ def recognize_folder(folder: Path) -> bool:
 
     log, recognized = RunLog(folder), recognize(folder)
     for found in recognized:
-        log.say(f"{folder} seems to be {found.title}")
+        log.say(f"{folder} seems to hold {found.title}")
         for fact in found.facts:
             log.say(f"  {fact}")
         if len(found.readings) > 1:

@@ -11,6 +11,7 @@ from eldenet.data.nyu_hdf5 import HDF5_TREE, MAT_TREE
 
 LABELED_TREE = "data/nyu2_train.csv, data/nyu2_train/labeled_out/0001.jpg, 0001.png"
 OBJECT_TREE = "training/image_2/000000.png, calib/000000.txt       (for AP: label_2/000000.txt)"
+PARTS = ("train/", "val/", "")
 RECORDING_TREES = """
 rgb/0.jpg, depth/0.exr, metadata.json                                   Record3D, exported as EXR
 rgb/000000.jpg, depth/000000.png, confidence/000000.png                 Stray Scanner and other ARKit apps
@@ -50,8 +51,8 @@ def _is_raw(folder: Path) -> bool:
 
 
 def _is_depth_devkit(folder: Path) -> bool:
-    places = ("*_sync", "*/*_sync", "*/*/*_sync")
-    return any(next(folder.glob(f"{place}/proj_depth"), None) is not None for place in places)
+    places = (f"{base}{part}*_sync/proj_depth" for base in ("", "data_depth_*/") for part in PARTS)
+    return any(next(folder.glob(place), None) is not None for place in places)
 
 
 def _root(data: str, setting: str = "root") -> tuple[str, ...]:

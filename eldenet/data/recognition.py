@@ -80,15 +80,18 @@ def recognize(folder: Path) -> list[Recognized]:
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is not a folder: give the folder of your recordings")
-    known = [
-        Recognized(
-            layout.title,
-            readings=[Reading("", tuple(word.format(root=folder) for word in layout.settings))],
-        )
-        for layout in KNOWN_LAYOUTS
-        if layout.fits(folder)
-    ]
-    return known or _recordings(folder)
+    beside = sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != ".")
+    return _known(folder) or [one for below in beside for one in _known(below)] or _recordings(folder)
+
+
+def _known(folder: Path) -> list[Recognized]:
+    """The data sets that a folder may be."""
+    found = []
+    for layout in KNOWN_LAYOUTS:
+        if layout.fits(folder):
+            settings = tuple(word.format(root=folder) for word in layout.settings)
+            found.append(Recognized(layout.title, readings=[Reading("", settings)]))
+    return found
 
 
 def _recordings(folder: Path) -> list[Recognized]:
@@ -165,7 +168,12 @@ def _series(folder: Path, files: Sequence[str]) -> list[_Series]:
         kind = kinds[parent, template]
         if kind:
             found.setdefault((_place(parent, template, merged, kinds), kind), []).extend(members)
-    return [_Series(place, kind, m[0]) for (place, kind), m in found.items() if len(m) >= _MANY]
+    # one picture and its depth are a recording; one file of another kind is no series
+    return [
+        _Series(place, kind, members[0])
+        for (place, kind), members in found.items()
+        if len(members) >= _MANY or kind in ("picture", "depth")
+    ]
 
 
 def _place(
@@ -231,7 +239,11 @@ def _pairs(folder: Path, series: Sequence[_Series]) -> Iterator[tuple[str, dict[
         ones, others = _keys(folder, pictures), _keys(folder, maps)
         found = other_ways(ones, others, TOLERANCE)
         least = min(len(ones), len(others)) / 2
-        ways[pictures.place, maps.place] = {by: n for by, n in found.items() if n >= least}
+        ways[pictures.place, maps.place] = {
+            by: count
+            for by, count in found.items()
+            if count >= max(least, 1 if by == "name" else _MANY)  # one file each pair by name alone
+        }
     by_name = {places for places, found in ways.items() if "name" in found}
     for (images, depths), found in ways.items():
         taken = any(images == one or depths == other for one, other in by_name)
@@ -248,7 +260,7 @@ def _of(kind: str, series: Sequence[_Series]) -> list[_Series]:
 def _keys(folder: Path, series: _Series) -> list[Key]:
     endings = {"picture": IMAGE_ENDINGS, "camera": CAMERA_ENDINGS}.get(series.kind, DEPTH_ENDINGS)
     try:
-        return list(find_frame_files(folder, series.place, endings))
+        return [key for key in find_frame_files(folder, series.place, endings) if key]
     except ValueError:  # two files of one name
         return []
 
@@ -266,7 +278,7 @@ def _describe(
     found = Recognized(f"a recording: {title}")
     whole = [frame for frame in frames if all((folder / file).is_file() for file in frame.files)]
     lost = len(frames) - len(whole) if "csv" in settings else 0
-    found.facts.append(f"{len(whole)} frames" + f"; files of {lost} others are missing" * bool(lost))
+    found.facts.append(f"frames: {len(whole)}" + f"; files of {lost} others are missing" * bool(lost))
     found.facts += _unpaired(folder, settings, whole)
     if not whole:
         return found

@@ -71,6 +71,22 @@ def test_data_sets_are_known(data: str, tmp_path: Path) -> None:
     assert {word.removeprefix("data=").partition("_")[0] for word in words} == {data.partition("_")[0]}
 
 
+def test_data_sets_one_folder_below_are_known(tmp_path: Path) -> None:
+    layouts.kitti_raw(tmp_path / "raw")
+    layouts.kitti_depth(tmp_path)
+    lines = [reading.line for found in recognize(tmp_path) for reading in found.readings]
+    assert f"data=kitti data.root={tmp_path}/depth" in lines
+    assert f"data=kitti_raw data.root={tmp_path}/raw" in lines
+
+
+def test_one_frame_is_a_recording(tmp_path: Path) -> None:
+    recordings.picture(tmp_path / "images/a.png", 4)
+    recordings.depth(tmp_path / "depths/a.png", 4, SIZE)
+    recordings.picture(tmp_path / "preview.png", 4)
+    (found,) = recognize(tmp_path)
+    assert found.readings[0].settings[2:] == ("data.images=images", "data.depths=depths")
+
+
 def test_the_object_benchmark_is_for_predict(tmp_path: Path) -> None:
     for folder in ("image_2", "calib"):
         (tmp_path / "training" / folder).mkdir(parents=True)
