@@ -55,7 +55,8 @@ def exported(model: DepthNet, path: Path) -> Path:
 
 def settings(checkpoint: Path | str, source: Path | str, output: Path, *overrides: str) -> PredictSettings:
     quoted = [f"checkpoint='{checkpoint}'", f"source='{source}'", f"output='{output}'"]
-    words = [*quoted, "runtime.threads=1", "runtime.workers=0", *overrides]
+    on_cpu = ["runtime.device=cpu", "runtime.threads=1", "runtime.workers=0"]  # whatever there is
+    words = [*quoted, *on_cpu, *overrides]
     return compose(PredictSettings, words)
 
 

@@ -13,29 +13,18 @@ from unittest.mock import patch
 
 import pytest
 import torch
+from support.steps import CHOICES, parts
 from support.synthetic import SyntheticDepth
 from support.training import ONE_THREAD, PROTOCOL, make_trainer
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from eldenet.compose import compose, config_folder
-from eldenet.configurable import instantiate
 from eldenet.losses import ssim
-from eldenet.losses.base import LossInputs, WeightedSum
+from eldenet.losses.base import LossInputs
 from eldenet.losses.distillation import DistilledTerm
-from eldenet.model import DepthNet
-from eldenet.train import TrainSettings
 from eldenet.training.loss_meter import LossMeter
 from eldenet.training.trainer import Trainer, TrainingData
 
-LOSSES = sorted(path.stem for path in (config_folder() / "loss").glob("*.yaml"))
-HEADS = sorted(path.stem for path in (config_folder() / "model" / "head").glob("*.yaml"))
-CHOICES = [
-    *([f"loss={name}"] for name in LOSSES if name != "ssim_nll"),
-    *([f"model/head={name}"] for name in HEADS if name != "uncertain"),
-    ["loss=ssim_nll", "model/head=uncertain"],
-    ["loss=ssim_l1_distill", "loss.terms.distilled.feature_weight=1.0"],
-]
 SIZE = (4, 48, 64)
 WAITS = ("_local_scalar_dense", "nonzero", "masked_select", "unique", "lift_fresh")
 
@@ -78,14 +67,6 @@ def watched() -> Iterator[list[str]]:
         noting(torch, "tensor")
         noting(torch, "from_numpy")
         yield watch.found
-
-
-def parts(choice: list[str]) -> tuple[DepthNet, WeightedSum]:
-    """A network and a loss of the YAML files."""
-    untrained = ["teacher=eldenet_s", 'loss.terms.distilled.teacher.overrides=["model.head.min_depth=0.2"]']
-    teacher = untrained if "distill" in str(choice) else []
-    settings = compose(TrainSettings, ["model=eldenet_s", *teacher, *choice])
-    return instantiate(settings.model, "model"), instantiate(settings.loss, "loss")
 
 
 @pytest.fixture(autouse=True)

@@ -150,6 +150,7 @@ def test_a_checkpoint_without_its_best_epoch_is_refused(tmp_path):
 
 
 def test_the_devices_generator_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: False)  # a test on a GPU may have come before
     fit(tmp_path / "cpu", epochs=1)
     set_to = []
     monkeypatch.setattr(torch.cuda, "set_rng_state", set_to.append)
