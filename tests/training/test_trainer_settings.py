@@ -4,6 +4,7 @@ import json
 import math
 from functools import partial
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 import torch
@@ -16,6 +17,7 @@ from eldenet.evaluation.metric_names import METRICS
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.ssim import SSIMLoss
+from eldenet.training.cuda_graph import WARM_UP, GraphedStep
 from eldenet.training.optim import constant, fused, plateau
 from eldenet.training.profile import PARTS
 from eldenet.training.trainer import Trainer, TrainingData
@@ -172,3 +174,42 @@ def test_a_cuda_graph_needs_a_gpu_and_whole_updates(tmp_path):
         fit(tmp_path, cuda_graph=True)
     with pytest.raises(ValueError, match="needs accumulate_grad_batches=1 and profile=false"):
         make_trainer(cuda_graph=True, profile=True)
+
+
+class FakeGraph:
+    """Stands for a CUDA graph: a replay computes on the captured tensors again."""
+
+    replays = 0
+
+    def replay(self):
+        FakeGraph.replays += 1
+        self.graphed.terms["total"].copy_(self.graphed.batch["image"].sum())
+
+
+def test_a_graphed_step_replays_on_each_batch_and_runs_others_beside(monkeypatch):
+    stream = MagicMock()
+    for name in ("Stream", "stream", "current_stream", "graph"):
+        monkeypatch.setattr(torch.cuda, name, MagicMock(return_value=stream))
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", FakeGraph)
+    seen = []
+
+    def step(batch):
+        seen.append(batch)
+        return {"total": batch["image"].sum()}
+
+    weight = torch.zeros(3, requires_grad=True)
+    optimizer = torch.optim.Adam([weight], lr=0.5, fused=True)
+    graphed = GraphedStep(step, optimizer)
+    FakeGraph.graphed = graphed
+    for value in range(WARM_UP + 3):
+        terms = graphed({"image": torch.full((2, 2), float(value)), "name": ["a"]})
+        assert terms["total"] == 4 * value
+    assert (len(seen), FakeGraph.replays) == (WARM_UP + 1, 3)
+    assert graphed({"image": torch.ones(1, 2), "name": ["a"]})["total"] == 2
+    assert (len(seen), FakeGraph.replays) == (WARM_UP + 2, 3)
+    rates = constant(optimizer, 10, 5)  # a schedule writes into the tensor that the graph reads
+    kept = optimizer.param_groups[0]["lr"]
+    rates.step()
+    assert optimizer.param_groups[0]["lr"] is kept
+    with pytest.raises(ValueError, match="needs a fused optimizer"):
+        GraphedStep(step, torch.optim.Adam([weight], lr=0.5))
