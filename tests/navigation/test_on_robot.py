@@ -170,3 +170,28 @@ def test_a_planner_starts_a_new_map_far_from_the_start_of_the_last_one():
     assert x > 100
     assert abs(y) < 1.2
     assert len(driver._trails[0]) <= 300
+
+
+def test_a_bearing_in_degrees_is_refused_and_one_of_many_turns_is_not() -> None:
+    ranges, turns = np.full(40, 6.0), 3 * math.tau
+    with pytest.raises(ValueError, match=r"a bearing of 45 is more than a turn: degrees\? Give radians"):
+        Navigator.load().step(ranges, (5.0, 45.0), (0.0, 0.0, 0.3))
+    wrapped = Navigator.load().step(ranges, (5.0, 0.5), (0.0, 0.0, 0.3))
+    assert Navigator.load().step(ranges, (5.0, 0.5 - turns), (0.0, 0.0, 0.3 + turns)) == pytest.approx(
+        wrapped
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"latency": 120}, "120 looks like milliseconds: give 0.12"),
+        ({"camera_height": 40}, "40 looks like centimeters: give 0.4"),
+        ({"intrinsics": (4.2, 4.2, 63.5, 47.5)}, "a focal length in mm"),
+        ({"intrinsics": np.array([[100, 0, 0], [0, 100, 0], [63.5, 47.5, 1]])}, "give the transpose"),
+    ],
+)
+def test_a_number_in_another_unit_stops_the_robot_with_a_line(wrong, said) -> None:
+    given = {"intrinsics": (60.0, 60.0, 63.5, 47.5)} | wrong
+    with pytest.raises(ValueError, match=said):
+        Navigator.load().step(np.full((96, 128), 3.0), (5.0, 0.0), (0.0, 0.0, 0.0), **given)
