@@ -29,8 +29,10 @@ def test_predictor_sees_the_training_size_and_answers_in_the_frames(model: Depth
     predictor = DepthPredictor(model, steady=False)
     depth = predictor(photo(50, 90))
     hook.remove()
-    # as many pixels as 32 x 64, in the frame's own aspect; then the last row and column repeated
-    assert predictor.size_for(50, 90) == (34, 61)
+    # in the frame's own aspect, as many pixels as 32 x 64 if it is wider, fewer if it is narrower; then the
+    # last row and column repeated
+    assert predictor.size_for(50, 200) == (23, 91)
+    assert predictor.size_for(50, 90) == (33, 59)
     assert seen == [(1, 3, 48, 64)]
     assert (depth.shape, depth.dtype) == ((50, 90), np.float32)
     assert model.head.min_depth <= depth.min() <= depth.max() <= model.head.max_depth
