@@ -43,8 +43,9 @@ class ExportSettings:
     format: str = "onnx"  # onnx, or openvino (.xml + .bin)
     # fp32; int8, with scales from pictures; bf16 (openvino, on processors that have it)
     precision: str = "fp32"
-    # (height, width) that the network sees [px]; null: the size of its training (after training on crops: of
-    # a whole frame at that scale), else 224 x 224; in the aspect of camera, if given
+    # (height, width) that the network sees [px]; null: any, and each picture is seen at the scale of the
+    # training, as by torch. A file for a camera or of an old opset has one size: that of the training (after
+    # training on crops: of a whole frame at that scale), else 224 x 224; in the aspect of camera, if given
     size: Any = None
     batch: int | None = None  # fixed number of images; null: any
     opset: int = 18  # ONNX opset: 18, or 11 to 17 for old boards
@@ -59,7 +60,8 @@ class ExportSettings:
     # of the weights, written into the file (data sets restricted to research pass the restriction on); null:
     # the model's, else "not stated"
     license: str | None = None
-    output: str | None = None  # null: exports/<model>-<height>x<width>-<precision>.onnx or .xml
+    # null: exports/<model>-<precision>.onnx or .xml; <model>-<height>x<width>-<precision> for one size
+    output: str | None = None
     overwrite: bool = False  # true: replace an existing file
     trusted_modules: Any = field(default_factory=list)  # packages whose classes foreign weights may name
 
@@ -89,6 +91,7 @@ class Target:
     s: ExportSettings
     name: str
     size: tuple[int, int]
+    any_size: bool
     output: Path
 
 
@@ -125,6 +128,7 @@ def export(s: ExportSettings) -> Path:
             model,
             output if is_graph else Path(temporary) / "fp32.onnx",
             size,
+            any_size=target.any_size,
             batch=s.batch,
             opset=s.opset,
             camera_size=s.camera,
@@ -132,7 +136,7 @@ def export(s: ExportSettings) -> Path:
         )
         if s.precision == "int8":
             frames = read_pictures(s.pictures, s.calibration, "train")
-            inputs = batches(frames, target)
+            inputs = [as_input(resize_image(frame, s.camera or size), target) for frame in frames]
             log.say(f"int8: scales from {len(frames)} pictures")
             if s.format == "onnx":
                 quantize_onnx(graph, output, inputs)
@@ -152,6 +156,7 @@ def target_of(s: ExportSettings, model: "DepthNet") -> Target:
         ValueError: the output already exists.
     """
     from eldenet.deploy.metadata import UNTRAINED_SIZE
+    from eldenet.deploy.onnx_export import NEWEST_OPSET
     from eldenet.model import size_of_frames
 
     height, width = s.size or size_of_frames(model.info) or UNTRAINED_SIZE
@@ -160,21 +165,21 @@ def target_of(s: ExportSettings, model: "DepthNet") -> Target:
         stretch = model.info.get("stretch") or 1.0
         size = size_of_aspect(size, (s.camera[0], s.camera[1] * stretch))
     name = name_of(s.checkpoint, model.info)
-    default = f"exports/{safe_stem(name)}-{size[0]}x{size[1]}-{s.precision}{ENDINGS[s.format]}"
+    any_size = s.size is None and s.camera is None and s.opset == NEWEST_OPSET
+    at = "" if any_size else f"-{size[0]}x{size[1]}"
+    default = f"exports/{safe_stem(name)}{at}-{s.precision}{ENDINGS[s.format]}"
     output = Path(s.output or default).expanduser()
     if output.exists() and not s.overwrite:
         raise ValueError(f"{output} already exists: give another output=, or overwrite=true")
-    return Target(s, name, size, output)
+    return Target(s, name, size, any_size, output)
 
 
-def batches(frames: Sequence[np.ndarray], target: Target) -> list[np.ndarray]:
-    """Pictures as the file takes them: one array each, repeated to a fixed batch."""
+def as_input(picture: np.ndarray, target: Target) -> np.ndarray:
+    """A picture as the file takes it, repeated to a fixed batch."""
     from eldenet.deploy.predictor import as_image
 
-    camera = target.s.camera
-    resized = [resize_image(frame, camera or target.size) for frame in frames]
-    inputs = [frame[None] if camera else as_image(frame) for frame in resized]
-    return [np.repeat(each, target.s.batch or 1, axis=0) for each in inputs]
+    one = picture[None] if target.s.camera else as_image(picture)
+    return np.repeat(one, target.s.batch or 1, axis=0)
 
 
 def compare_with_torch(
@@ -189,15 +194,19 @@ def compare_with_torch(
     from eldenet.deploy.predictor import DepthPredictor
 
     s, output = target.s, target.output
-    seen = [resize_image(picture, s.camera or target.size) for picture in pictures]
+    upright = target.size[::-1] if target.any_size else target.size  # of every other picture
+    sizes = [s.camera or (upright if number % 2 else target.size) for number in range(len(pictures))]
+    seen = [resize_image(picture, size) for picture, size in zip(pictures, sizes, strict=True)]
     outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
-    predictor = DepthPredictor(model, target.size, steady=False, uncertainty="sigma" in outputs)
-    if s.camera is None:
-        predictor.stretch = 1.0  # these pictures have the file's size already
-    reference = [predictor(frame) for frame in seen]
-    if not predictor.uncertainty:
-        reference = [DepthEstimate(depth) for depth in reference]
-    rows, inputs = [], batches(seen, target)
+    with_sigma = "sigma" in outputs
+    reference = []
+    for picture in seen:
+        size = target.size if s.camera else (picture.shape[0], picture.shape[1])
+        predictor = DepthPredictor(model, size, steady=False, uncertainty=with_sigma)
+        if s.camera is None:
+            predictor.stretch = 1.0  # these pictures have the file's size already
+        reference.append(predictor(picture) if with_sigma else DepthEstimate(predictor(picture)))
+    rows, inputs = [], [as_input(picture, target) for picture in seen]
     tolerance = CAMERA_TOLERANCE if s.camera else FP32_TOLERANCE
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
         try:
@@ -207,8 +216,8 @@ def compare_with_torch(
             continue
         estimates = [network.predict(image) for image in inputs]
         for kind in outputs:
-            ours = np.stack([getattr(estimate, kind)[0, 0] for estimate in estimates])
-            theirs = np.stack([getattr(estimate, kind) for estimate in reference])
+            ours = np.concatenate([getattr(estimate, kind)[0, 0].ravel() for estimate in estimates])
+            theirs = np.concatenate([getattr(estimate, kind).ravel() for estimate in reference])
             found = map_errors(ours, theirs)
             rows.append([name, kind, *(f"{value:.2g}" for value in found.values())])
             if s.precision == "fp32" and not found["median_relative"] < tolerance:

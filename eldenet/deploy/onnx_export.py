@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older exporter
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
+AXES = {"batch": 0, "height": 2, "width": 3}  # of images (B, 3, H, W)
+LEAST = {"batch": 1, "height": 16, "width": 16}
 _ONE_AT_A_TIME = threading.RLock()  # stdout and the log level belong to the process
 
 
@@ -37,6 +39,7 @@ def write_onnx(
     path: str | Path,
     size: tuple[int, int],
     *,
+    any_size: bool = False,
     batch: int | None = None,
     opset: int = NEWEST_OPSET,
     camera_size: tuple[int, int] | None = None,
@@ -47,7 +50,8 @@ def write_onnx(
     Args:
         model: is not changed.
         path: of the file, ``.onnx``.
-        size: ``(height, width)`` that the network sees [px]; fixed.
+        size: ``(height, width)`` that the network sees [px]; fixed, unless ``any_size``.
+        any_size: the file takes images of any size, as torch does.
         batch: fixed number of images; None: any number.
         opset: 18, or an older one (11 to 17) for old boards.
         camera_size: ``(height, width)`` of uint8 frames [px]: the graph takes these and resizes itself.
@@ -55,7 +59,7 @@ def write_onnx(
 
     Raises:
         ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, or the
-            opset cannot express this network.
+            opset cannot express this network, or not at any size.
     """
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
@@ -77,27 +81,32 @@ def write_onnx(
         name, example = "frame", torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
     try:
         with quiet(), torch.no_grad():
-            graph = _to_onnx(network.eval(), example, [name, *outputs], any_batch=batch is None, opset=opset)
+            axes = ["batch"] * (batch is None) + ["height", "width"] * any_size
+            graph = _to_onnx(network.eval(), example, [name, *outputs], axes, opset)
     except RuntimeError as error:  # base class of the exporter's errors
-        raise ValueError(f"opset={opset} cannot express this network: {first_line(error)}") from error
+        what = " at any size" * any_size
+        raise ValueError(f"opset={opset} cannot express this network{what}: {first_line(error)}") from error
     return write_graph(graph, Path(path), metadata or {})
 
 
 def _to_onnx(
-    network: nn.Module, example: Tensor, ports: list[str], *, any_batch: bool, opset: int
+    network: nn.Module, example: Tensor, ports: list[str], axes: Sequence[str], opset: int
 ) -> "onnx.ModelProto":
+    """The graph; ``axes`` of its input may have any length."""
     import onnx
 
     names: dict[str, Any] = {"input_names": ports[:1], "output_names": ports[1:], "opset_version": opset}
     if opset == NEWEST_OPSET:
-        shapes = ({0: torch.export.Dim("batch", min=1, max=4096)},) if any_batch else None
+        shapes = ({AXES[name]: torch.export.Dim(name, min=LEAST[name], max=4096) for name in axes},)
         program: Any = torch.onnx.export(
-            network, (example,), dynamo=True, dynamic_shapes=shapes, verbose=False, **names
+            network, (example,), dynamo=True, dynamic_shapes=shapes if axes else None, verbose=False, **names
         )
         return program.model_proto
     content: Any = BytesIO()
-    axes = {port: {0: "batch"} for port in ports} if any_batch else None
-    torch.onnx.export(network, (example,), content, dynamo=False, dynamic_axes=axes, **names)
+    if "height" in axes:
+        raise RuntimeError(f"any size needs opset={NEWEST_OPSET}")
+    lengths = {port: {0: "batch"} for port in ports} if axes else None
+    torch.onnx.export(network, (example,), content, dynamo=False, dynamic_axes=lengths, **names)
     return onnx.load_from_string(content.getvalue())
 
 

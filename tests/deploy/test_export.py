@@ -12,6 +12,7 @@ from eldenet.compose import compose
 from eldenet.deploy import pictures, runtimes
 from eldenet.deploy.metadata import read_metadata
 from eldenet.deploy.pictures import read_pictures
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.export import ExportSettings, compare_with_torch, export, map_errors, target_of
 from eldenet.results.run_log import RunLog
 from eldenet.uncertainty import DepthEstimate
@@ -72,7 +73,8 @@ def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -
 def test_the_command_exports_from_another_folder(
     run_command, model_folder: Path, photos: Path, tmp_path: Path
 ) -> None:
-    done = run_command("export", f"checkpoint={model_folder}", f"pictures={photos}", "checks=2", "opset=13")
+    words = (f"checkpoint={model_folder}", f"pictures={photos}", "opset=13")  # an old one: of one size
+    done = run_command("export", *words, "checks=2")
     assert done.returncode == 0, done.stderr
     path = tmp_path / "exports" / "mine-32x64-fp32.onnx"
     for text in ("the file beside torch on 2 pictures", "0 batch normalizations", "exports/mine-32x64-fp32"):
@@ -83,7 +85,7 @@ def test_the_command_exports_from_another_folder(
     with torch.inference_mode():
         reference = eldenet.load(model_folder)(torch.from_numpy(image_of(photos))).numpy()
     assert map_errors(depth, reference)["max_relative"] < 1e-5
-    again = run_command("export", f"checkpoint={model_folder}", f"pictures={photos}")
+    again = run_command("export", *words)
     assert again.returncode == 1
     assert "already exists: give another output=, or overwrite=true" in again.stderr
     assert "Traceback" not in again.stderr
@@ -205,3 +207,17 @@ def test_pictures_are_spread_evenly(photos: Path) -> None:
     first, last = read_pictures(f"{photos}/*.jpg", 2, "test")
     assert first.shape == last.shape == (72, 96, 3)
     np.testing.assert_array_equal(last, cv2.imread(str(photos / "5.jpg"))[..., ::-1])
+
+
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+def test_a_file_of_any_size_predicts_what_torch_predicts(
+    model_folder: Path, photos: Path, tmp_path: Path, runtime: str
+) -> None:
+    """Pictures of every shape are seen as by torch: without a border, at the same scale."""
+    path = run(model_folder, photos, f"output='{tmp_path / 'any.onnx'}'")
+    file = DepthPredictor(runtimes.load(path, runtime, threads=1), steady=False)
+    network = DepthPredictor(eldenet.load(model_folder), steady=False)
+    for size in ((64, 128), (90, 120), (120, 90), (160, 90), (60, 120)):
+        picture = np.random.default_rng(0).integers(0, 255, (*size, 3), dtype=np.uint8)
+        assert file.size_for(*size) == network.size_for(*size)
+        np.testing.assert_allclose(file(picture), network(picture), rtol=1e-3)

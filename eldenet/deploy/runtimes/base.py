@@ -37,7 +37,8 @@ class Runtime:
         info: like ``DepthNet.info``: the size that the network sees [px], its stretch, and the model's name.
         shape: of the input; None for a side of any length.
         fixed_batch: the only number of images that it takes at once; None: any.
-        fixed_size: the only ``(height, width)`` that the network can see [px]; None: any.
+        fixed_size: the only ``(height, width)`` that the network can see [px]; None: any, and
+            ``info["input_size"]`` is the size of its training.
         camera_size: ``(height, width)`` of the frames that it takes [px], or None.
         takes_frames: whether it takes uint8 frames.
         whole_frame_size: ``(height, width)`` [px] of a whole frame at the training's scale; None: it did not
@@ -87,6 +88,8 @@ class Runtime:
             "model_name": self.metadata.get("model"),
         }
         self.info: dict[str, Any] = {key: value for key, value in info.items() if value is not None}
+        if self.shape[2:] == (None, None):
+            self.fixed_size = None
 
     def __reduce__(self) -> Any:
         """Return how another process, or a copy, opens the same file."""

@@ -49,7 +49,7 @@ class TorchRuntime(Runtime):
             full_fp32()
         name = torch.cuda.get_device_name() if device == "cuda" else "cpu"
         super().__init__(precision, threads, name, metadata or {})
-        self.runtime, self.fixed_size = layout, None  # torch takes any size
+        self.runtime = layout
         self.target = torch.device(device)
         self.layout = torch.contiguous_format if layout == "torch" else torch.channels_last
         network = fold(model)
