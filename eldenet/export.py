@@ -44,10 +44,10 @@ class ExportSettings:
     # fp32; int8, with scales from pictures; bf16 (openvino, on processors that have it)
     precision: str = "fp32"
     # (height, width) that the network sees [px]; null: any, and each picture is seen at the scale of the
-    # training, as by torch. A file for a camera or of an old opset has one size: that of the training (after
-    # training on crops: of a whole frame at that scale), else 224 x 224; in the aspect of camera, if given
+    # training, as by torch. With camera, batch or an old opset a file has one size: that of the training
+    # (after training on crops: of a whole frame at that scale), else 224 x 224; in the aspect of camera
     size: Any = None
-    batch: int | None = None  # fixed number of images; null: any
+    batch: int | None = None  # fixed number of images, of one size; null: any
     opset: int = 18  # ONNX opset: 18, or 11 to 17 for old boards
     # (height, width) [px]: the file takes uint8 RGB frames and returns depth of this size, with resizing
     # inside; null: it takes float images of size
@@ -165,7 +165,7 @@ def target_of(s: ExportSettings, model: "DepthNet") -> Target:
         stretch = model.info.get("stretch") or 1.0
         size = size_of_aspect(size, (s.camera[0], s.camera[1] * stretch))
     name = name_of(s.checkpoint, model.info)
-    any_size = s.size is None and s.camera is None and s.opset == NEWEST_OPSET
+    any_size = (s.size, s.camera, s.batch, s.opset) == (None, None, None, NEWEST_OPSET)
     at = "" if any_size else f"-{size[0]}x{size[1]}"
     default = f"exports/{safe_stem(name)}{at}-{s.precision}{ENDINGS[s.format]}"
     output = Path(s.output or default).expanduser()
