@@ -37,10 +37,12 @@ def find_frame_files(root: Path, place: str, endings: Sequence[str]) -> dict[Key
     as_file, as_folder = _expressions(place.removeprefix("./").strip("/"))
     found: dict[Key, str] = {}
     # HEIC beside the files of another kind is no picture that is passed over
-    for path in sorted(visible_files(root / fixed, (*endings, ".heic", ".heif"))):
-        file = path.relative_to(root).as_posix()
+    shown = visible_files(root / fixed, (*endings, ".heic", ".heif"))
+    below = len(root.parts)
+    for parts in sorted(path.parts[below:] for path in shown if path.suffix.lower() in endings):
+        file = "/".join(parts)
         match = as_file.fullmatch(file) or as_folder.fullmatch(file)
-        if match is None or path.suffix.lower() not in endings:
+        if match is None:
             continue
         key = tuple(composed(part) for part in match.groups() if part)
         if key in found:

@@ -34,11 +34,11 @@ def visible_files(folder: Path, endings: Sequence[str]) -> list[Path]:
 
     Pictures in other formats are counted and named in a warning.
     """
-    shown = [
-        path
-        for path in folder.rglob("*")
-        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
-    ]
+    shown = []
+    for place, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        here = Path(place)
+        shown += [here / name for name in names if not name.startswith(".")]
     return with_endings(shown, endings, folder)
 
 
@@ -117,13 +117,14 @@ def missing_files(root: Path, files: Sequence[str]) -> list[str]:
 
     Each folder is listed once, so fifty thousand frames take a moment even on a network drive.
     """
-    listed: dict[Path, set[str]] = {}
+    listed: dict[str, set[str]] = {}
     missing = []
     for file in files:
-        path = root / file
-        if path.parent not in listed:
-            listed[path.parent] = set(os.listdir(path.parent)) if path.parent.is_dir() else set()
-        if path.name not in listed[path.parent]:
+        folder, name = os.path.split(file)
+        if folder not in listed:
+            place = root / folder
+            listed[folder] = set(os.listdir(place)) if place.is_dir() else set()
+        if name not in listed[folder]:
             missing.append(file)
     return missing
 

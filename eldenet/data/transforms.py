@@ -173,12 +173,11 @@ class Augmentation:
         color = _drawn(self.color, (height, width), generator, chance)
         matrix, nearer, intrinsics = IDENTITY, 1.0, frame.intrinsics
         if self.geometry:
-            corners = np.array([[0, 0], [width, 0], [0, height]], dtype=np.float32)
-            points = np.pad(corners, ((0, 0), (0, 3)))  # albumentations' keypoints
+            points = np.zeros((3, 5), dtype=np.float32)  # x, y; albumentations' keypoints have three more
+            points[:, :2] = corners = [[0, 0], [width, 0], [0, height]]
             for transform, drawn in geometry:
                 points = transform.apply_to_keypoints(points, **drawn)
-            moved = np.asarray(points[:, :2], dtype=np.float64)
-            matrix = _affine_through(corners, moved)
+            matrix = _affine_through(np.array(corners), points[:, :2].astype(np.float64))
             nearer, intrinsics = self._move_camera(intrinsics, matrix)
         return Change(intrinsics, matrix if geometry else IDENTITY, nearer, geometry, color)
 
