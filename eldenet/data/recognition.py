@@ -28,6 +28,7 @@ MOST_CAMERAS = 20  # files beside the frames that are read as a camera
 SAMPLES = 8  # depth maps whose numbers are looked at
 INPUT_SIZE, MAX_DEPTH = (240, 320), 10.0  # of data=folder
 TOLERANCE = 0.02  # of data=folder [s]
+SPARSE_SHARE = 0.2  # of the pixels: points of a LiDAR rather than a depth camera's map
 _DIGITS = re.compile(r"\d+(?:\.\d+)?")
 _MANY = 2  # files that make a series
 
@@ -288,17 +289,7 @@ def _describe(
         found.facts.append(f"lens: in the list (fx {stored.matrix[0, 0]:.1f}, cx {stored.matrix[0, 2]:.1f})")
     else:
         settings |= _lens(folder, whole, series, files, found.facts)
-    looked_at: list[tuple[Path, tuple[int, int], np.ndarray]] = []
-    faults = []
-    for index in evenly_spaced(len(whole), SAMPLES):
-        try:
-            picture, depth = (folder / file for file in whole[index].files[:2])
-            image, raw = read_image(picture), read_raw_depth(depth)
-        except (ValueError, OSError) as error:
-            faults.append(str(error))
-        else:
-            looked_at.append((picture, (image.shape[0], image.shape[1]), raw))
-    found.facts += faults[:1]
+    looked_at = _samples(folder, whole, found.facts)
     if not looked_at:
         return found
     picture, size, raw = looked_at[0]
@@ -307,6 +298,9 @@ def _describe(
     if len({(size, raw.shape) for _, size, raw in looked_at}) > 1:
         sizes += ", others differ"
     found.facts.insert(1, f"pictures {sizes} (width x height)")
+    known = sum(_known_numbers(one).size for one in raws) / sum(one.size for one in raws)
+    points = "; of a LiDAR? Then add data.ground_truth=sparse loss=l1_sparse" if known < SPARSE_SHARE else ""
+    found.facts.append(f"pixels with depth: {known:.0%}{points}")
     turns: list[dict[str, Any]] = [{}]
     if not same_aspect(size, raw.shape) and same_aspect(size[::-1], raw.shape):
         if is_turned(picture):
@@ -325,6 +319,23 @@ def _describe(
         ]
         found.readings.append(Reading(note, tuple(words)))
     found.facts += _refusal(folder, chosen)
+    return found
+
+
+def _samples(
+    folder: Path, frames: Sequence[RecordedFrame], facts: list[str]
+) -> list[tuple[Path, tuple[int, int], np.ndarray]]:
+    """Picture, its size and the raw numbers ``(h, w)`` of its depth, of a few frames that can be read."""
+    found, faults = [], []
+    for index in evenly_spaced(len(frames), SAMPLES):
+        try:
+            picture, depth = (folder / file for file in frames[index].files[:2])
+            image, raw = read_image(picture), read_raw_depth(depth)
+        except (ValueError, OSError) as error:
+            faults.append(str(error))
+        else:
+            found.append((picture, (image.shape[0], image.shape[1]), raw))
+    facts += faults[:1]
     return found
 
 
@@ -399,12 +410,14 @@ def _lens(
     return {"intrinsics": places[0]} if len(places) == 1 else {}
 
 
+def _known_numbers(raw: np.ndarray) -> np.ndarray:
+    """The numbers ``(N,)`` that may be depth; the largest of 16 bits often says that it is unknown."""
+    return np.asarray(raw[np.isfinite(raw) & (raw > 0) & (raw != np.iinfo(np.uint16).max)])
+
+
 def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, dict[str, Any]]]:
     """The encodings in which the median depth is plausible, with the median as a note."""
-    # the largest 16-bit number is what some recorders write where depth is unknown
-    values = np.concatenate(
-        [raw[np.isfinite(raw) & (raw > 0) & (raw != np.iinfo(np.uint16).max)].ravel() for raw in raws]
-    )
+    values = np.concatenate([_known_numbers(raw) for raw in raws])
     if not values.size:
         return [("no depth above 0 in the files looked at", {})]
     kind = "float" if values.dtype.kind == "f" else str(values.dtype)

@@ -99,10 +99,13 @@ def test_the_largest_number_of_16_bits_is_no_depth(tmp_path: Path) -> None:
     for i in range(3):
         recordings.picture(tmp_path / f"{i}_color.png", i)
         raw = np.full(SIZE, 2**16 - 1, np.uint16)
-        raw[:10] = 2000
+        raw[:8] = 2000
         cv2.imwrite(str(tmp_path / f"{i}_depth.png"), raw)
     (found,) = recognize(tmp_path)
     assert found.readings[0].note == "half of all depth nearer than 2 m, as mm"
+    assert f"pixels with depth: {8 / SIZE[0]:.0%}; of a LiDAR? Then add data.ground_truth=sparse" in str(
+        found.facts
+    )
     assert not any("max_depth" in word for word in found.readings[0].settings)
 
 
