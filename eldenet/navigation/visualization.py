@@ -218,7 +218,7 @@ def sector_bars(scan: Observation, size: tuple[int, int]) -> np.ndarray:
         distance = float(near)
         left = (SECTORS - 1 - number) * width // SECTORS
         right = (SECTORS - number) * width // SECTORS
-        top = height - 2 - round((height - 22) * math.sqrt(distance / ROBOT.far))
+        top = height - 2 - round((height - 34) * math.sqrt(distance / ROBOT.far))  # below the title
         cv2.rectangle(picture, (left + 3, top), (right - 3, height - 2), _FED[source], -1)
         cv2.putText(picture, f"{distance:.1f}", (left + 8, top - 4), _FONT, 0.38, (0, 0, 0), 1, cv2.LINE_AA)
         short = source.replace("simulator", "rays")
