@@ -372,7 +372,7 @@ class Trainer:
         if self.sync_batchnorm and self.processes > 1:
             synchronize_batchnorm(model, device)
         self.sampler = self._sampler(self.batch_size)
-        if self.sampler.smallest_batch == 1:
+        if self.sampler.smallest_batch == 1 and not (self.sync_batchnorm and self.processes > 1):
             self._refuse_batch_of_one(model)
         model.to(device)
         if self.channels_last:
