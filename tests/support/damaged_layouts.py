@@ -168,8 +168,9 @@ LAYOUTS = {
         partial(layouts.folder, count=3),
         ALL,
         (
-            Target("images/f001.png", [d for d in COLOR_PNG if d is not gray], "f001"),
-            Target("depths/f001.png", DEPTH_PNG, "f001"),
+            # phones keep depth at a fraction of the picture's size, so half of it is no damage
+            Target("images/f001.png", [d for d in COLOR_PNG if d not in (gray, halved)], "f001"),
+            Target("depths/f001.png", [d for d in DEPTH_PNG if d is not halved], "f001"),
         ),
     ),
     "folder_csv": Layout(
@@ -181,7 +182,7 @@ LAYOUTS = {
     "folder_npy": folder_of(".npy", DEPTH_NPY),
     "folder_pfm": folder_of(".pfm", PFM),
     "folder_exr": folder_of(".exr", ANY),
-    "folder_tiff": folder_of(".tiff", (*ANY, turned, halved)),
+    "folder_tiff": folder_of(".tiff", (*ANY, turned)),
     "kitti": Layout(
         "kitti",
         layouts.kitti_depth,
