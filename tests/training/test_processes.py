@@ -62,7 +62,8 @@ def train(folder: Path, processes: int, *, ckpt_path: Path | None = None) -> Tra
         optimizer=partial(torch.optim.SGD, lr=3e-4),
         scheduler=constant,
         epochs=2,
-        batch_size=TOGETHER // processes,
+        batch_size=TOGETHER // processes // 2,
+        accumulate_grad_batches=2,
     )
     trainer.fit(
         model,
