@@ -24,6 +24,7 @@ _CHOICES = {
     "scale": ("metric", "median", "affine_depth", "affine_disparity"),
     "flip": ("none", "mean"),
 }
+LARGEST_DEPTH = 1000.0  # [m] that a camera's ground truth can have; more is in another unit
 _PIXELS = {"crop": 4, "size": 2, "frame_box": 4, "frame_crop": 2, "frame_size": 2}  # how many each takes
 
 
@@ -96,7 +97,9 @@ class EvalProtocol:
             if getattr(self, field) not in allowed:
                 yield f"{field}={getattr(self, field)!r}, choose one of {allowed}"
         if not 0 < self.min_depth < self.max_depth:
-            yield "0 < min_depth < max_depth is needed [m]"
+            yield f"min_depth={self.min_depth:g}, max_depth={self.max_depth:g}: 0 < min < max is needed [m]"
+        if LARGEST_DEPTH < self.max_depth < math.inf:
+            yield f"max_depth={self.max_depth:g}: give meters; {self.max_depth / 1000:g}, if it is in mm"
         if self.inverse_scale is not None and not self.inverse_scale > 0:
             yield f"inverse_scale={self.inverse_scale}, give meters above 0, or null"
         for field, count in _PIXELS.items():

@@ -126,3 +126,10 @@ def test_a_part_is_chosen_with_a_slash() -> None:
 
     with pytest.raises(ValueError, match="a slash chooses it from its group, as in model/backbone=resnet18"):
         check_arguments(DepthNet.from_parts, {"backbone": "resnet18"}, "model.")
+
+
+def test_a_depth_range_in_millimeters_is_refused() -> None:
+    from eldenet.evaluation.protocol import EvalProtocol
+
+    with pytest.raises(ValueError, match=r"max_depth=6000: give meters; 6, if it is in mm"):
+        EvalProtocol("folder", max_depth=6000.0)
