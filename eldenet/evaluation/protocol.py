@@ -98,7 +98,7 @@ class EvalProtocol:
                 yield f"{field}={getattr(self, field)!r}, choose one of {allowed}"
         if not 0 < self.min_depth < self.max_depth:
             yield f"min_depth={self.min_depth:g}, max_depth={self.max_depth:g}: 0 < min < max is needed [m]"
-        if LARGEST_DEPTH < self.max_depth < math.inf:
+        if self.inverse_scale is None and LARGEST_DEPTH < self.max_depth < math.inf:
             yield f"max_depth={self.max_depth:g}: give meters; {self.max_depth / 1000:g}, if it is in mm"
         if self.inverse_scale is not None and not self.inverse_scale > 0:
             yield f"inverse_scale={self.inverse_scale}, give meters above 0, or null"
