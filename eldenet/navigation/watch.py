@@ -21,8 +21,8 @@ FARTHEST = 1e5  # greatest distance of a goal, and of a pose from the origin [m]
 TOO_NEAR = 0.05  # no camera measures less: then it is another unit [m]
 NEARLY_ALL = 0.95  # share of the known values
 STALE = 0.4  # age that data may have beyond the latency [s]
-CONTENT = 3.5  # 95 % of the second derivatives of a picture 32 x 24 are below it behind a covered lens
-REPEATS = 2  # scans in a row that repeat the one before: the camera is frozen
+CONTENT = 4.5  # 99 % of the second derivatives of a picture 32 x 24 are below it behind a covered lens
+REPEATS = 2  # pictures in a row that repeat the one before, or show nothing
 MOVED, TURNED = 0.02, 0.02  # motion after which a scan must differ [m], [rad]
 EVEN = 0.2  # share of a scan that may differ then though it shows even walls only
 STANDS = 0.001  # motion of a pose that stands [m], [rad]
@@ -77,7 +77,7 @@ class Watch:
     def reset(self) -> None:
         """Forget what was seen; call this at every new start."""
         self._seen: Look | None = None  # the first look with the present picture
-        self._repeats = 0
+        self._repeats = self._empty = 0
         self._stood: np.ndarray | None = None  # where the odometry stands
         self._told = np.zeros(3)  # way [m], turn [rad] and time [s] that it was told to drive since
         self._floors: deque[Floor] = deque(maxlen=FLOORS)
@@ -111,7 +111,8 @@ class Watch:
 
     def covered(self, look: Look) -> str | None:
         """A picture without contrast: a network also predicts depth for a covered lens."""
-        if look.image is None or has_content(look.image):
+        self._empty = 0 if look.image is None or has_content(look.image) else self._empty + 1
+        if self._empty < REPEATS:
             return None
         return "the picture shows nothing: a covered lens, darkness or a bare wall"
 
@@ -224,7 +225,7 @@ def has_content(image: np.ndarray) -> bool:
     gray = image.mean(axis=2) if image.ndim == 3 else image.astype(float)
     small = cv2.resize(gray.astype(np.float32), (32, 24), interpolation=cv2.INTER_AREA)
     edges = np.abs(cv2.Laplacian(small, cv2.CV_32F))[1:-1, 1:-1]  # the glow through a finger is smooth
-    return bool(np.quantile(edges, 0.95) > CONTENT)
+    return bool(np.quantile(edges, 0.99) > CONTENT)
 
 
 def motion(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
