@@ -47,9 +47,11 @@ class Arenas:
 
 @dataclass
 class ArenaOrFile(Arenas):
-    """Section ``arena`` of a recording."""
+    """Section ``arena`` of a recording or an evaluation."""
 
-    file: str | None = None  # a YAML file with an arena of your own: docs/navigation.md#an-arena-of-your-own
+    # BARN's worlds (barn_worlds.npz); mode=record: or a YAML file with an arena of your own
+    # (docs/navigation.md#an-arena-of-your-own)
+    file: str | None = None
 
 
 @dataclass
@@ -157,6 +159,7 @@ class NavigateEvaluateSettings(DriveSettings):
     """mode=evaluate: success, time and path length over many arenas, the same for every driver."""
 
     mode: str = "evaluate"
+    arena: ArenaOrFile = field(default_factory=ArenaOrFile)
     episodes: int = 500  # arenas per density, one episode each
     robots: int = 32  # episodes that run at once
 
@@ -218,17 +221,26 @@ def load_driver(s: DriveSettings, robots: int) -> "Policy":
     return Predictive(driver, latency, robots) if latency else driver
 
 
-def arenas_of(s: NavigateEvaluateSettings, density: int) -> "Sequence[Arena]":
-    """Return the arenas of an evaluation with as many obstacles."""
+def arenas_of(s: NavigateEvaluateSettings, density: Any) -> "Sequence[Arena]":
+    """Return the arenas of an evaluation with as many obstacles, or of its file."""
     from eldenet.navigation.tasks import frozen_arenas
+    from eldenet.simulation.barn import read_barn
 
+    if s.arena.file is not None:
+        return [world.arena for world in read_barn(s.arena.file)[: s.episodes]]
     return frozen_arenas(density, s.episodes, split=s.split, pedestrians=s.pedestrians, kind=s.arena.kind)
 
 
 def _arena_of(s: NavigateRecordSettings) -> "Arena":
     from eldenet.simulation.arena_files import read_arena
     from eldenet.simulation.arenas import generate_arena, triangle_course
+    from eldenet.simulation.barn import read_barn
 
+    if s.arena.file is not None and s.arena.file.endswith(".npz"):
+        worlds = read_barn(s.arena.file)
+        if not 0 <= s.world < len(worlds):
+            raise ValueError(f"world={s.world}: give 0 to {len(worlds) - 1}")
+        return worlds[s.world].arena
     if s.arena.file is not None:
         return read_arena(s.arena.file)
     if s.course is not None:
@@ -315,7 +327,7 @@ def evaluate(s: NavigateEvaluateSettings, log: "RunLog") -> None:
     driver, sensor = load_driver(s, 1), instantiate(s.sensor, "sensor")
     load = functools.partial(load_driver, s)
     metrics, hashes, table = {}, {}, []
-    for density in listed(s.density):
+    for density in listed(s.density) if s.arena.file is None else [Path(s.arena.file).stem]:
         arenas = arenas_of(s, density)
         with log.bar(f"{density} obstacles", len(arenas), unit="episodes") as bar:
             rows = run_episodes(arenas, load, sensor, episode, robots=s.robots, advance=bar.advance)
@@ -377,9 +389,13 @@ def _write_record(s: DriveSettings, sensor: "Sensor", driver: "Policy", found: M
 @entry_point(NavigateSettings)
 def main(s: NavigateSettings) -> None:
     """Refuse settings that a given arena replaces, then run the mode."""
-    if isinstance(s, NavigateRecordSettings) and (s.arena.file is not None or s.course is not None):
-        given = f"course={s.course}" if s.arena.file is None else f"arena.file={s.arena.file}"
-        unread = ("density", "pedestrians", "world", "split", "arena.kind")
+    file = s.arena.file if isinstance(s, NavigateRecordSettings | NavigateEvaluateSettings) else None
+    course = s.course if isinstance(s, NavigateRecordSettings) else None
+    if file is not None or course is not None:
+        given = f"course={course}" if file is None else f"arena.file={file}"
+        unread = ["density", "pedestrians", "split", "arena.kind"]
+        if file is None or not file.endswith(".npz"):
+            unread.append("world")
         refuse_unread(unread, f"not read with {given}, which describes the whole arena; leave it out")
     navigate(s)
 

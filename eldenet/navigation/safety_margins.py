@@ -16,4 +16,5 @@ TURNING_GAP = 0.03  # between corners and points while turning on the spot
 STEER_MARGIN = 0.04  # added to the footprint on all sides
 STEER_ROOM = 0.06  # least clearance of an arc
 FAST_ROOM = 0.12  # least clearance of an arc that is driven faster than the learned driver would
+WINDOW_SLACK = 0.025  # room that an arc may lose where there is little
 BESIDE = 0.35  # free width on both sides of the straight line to the next way-point

@@ -31,7 +31,7 @@ from eldenet.navigation.evaluation import (  # noqa: E402
 from eldenet.navigation.latency import Predictive  # noqa: E402
 from eldenet.navigation.planners.astar import CARROT, AStarDWA, AStarOnlineDWA  # noqa: E402
 from eldenet.navigation.planners.dwa import DWA_VERSION  # noqa: E402
-from eldenet.navigation.planners.plan_and_steer import STEER_VERSION, PlanAndSteer  # noqa: E402
+from eldenet.navigation.planners.plan_and_steer import HEEDS_VERSION, STEER_VERSION, PlanAndSteer  # noqa: E402
 from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.range_scale import SCALE_VERSION  # noqa: E402
@@ -68,6 +68,9 @@ CONDITIONS: Mapping[str, Condition] = {
     "5 obstacles": Condition(density=5),
     "rooms": Condition("rooms", 10),
     "traps": Condition("traps", 10),
+    "office": Condition("office", 10, robot={"time_limit": 120.0}),
+    "maze": Condition("maze", 0, robot={"time_limit": 120.0}),
+    "corridor": Condition("corridor", 0, robot={"time_limit": 120.0}),
     "latency 0.2 s": Condition(sensor={"latency": 0.2}),
     "latency 0.2 s, predicted": Condition(sensor={"latency": 0.2}, predicted=True),
     "latency 0.4 s": Condition(sensor={"latency": 0.4}),
@@ -105,10 +108,13 @@ VARIED = HERE / "varied_dqn.safetensors"
 IN_ROOMS = HERE / "rooms_dqn.safetensors"
 METHODS: Mapping[str, Callable[[int], Any]] = {
     "dqn_ensemble": lambda robots: Navigator.load(slows_within=1.0, robots=robots),
-    "astar_online_dqn": lambda robots: PlanAndSteer(slows_within=1.0, robots=robots),
+    "astar_online_dqn": lambda robots: PlanAndSteer(slows_within=1.0, heeds_unseen=False, robots=robots),
+    "astar_online_dqn, heeds unseen": lambda robots: PlanAndSteer(slows_within=1.0, robots=robots),
     "varied_dqn": lambda robots: Navigator.load(VARIED, slows_within=1.0, robots=robots),
     "rooms_dqn": lambda robots: Navigator.load(IN_ROOMS, slows_within=1.0, robots=robots),
-    "astar_online_dqn, rooms_dqn": lambda robots: PlanAndSteer(IN_ROOMS, slows_within=1.0, robots=robots),
+    "astar_online_dqn, rooms_dqn": lambda robots: PlanAndSteer(
+        IN_ROOMS, slows_within=1.0, heeds_unseen=False, robots=robots
+    ),
     "astar_online_dwa": lambda robots: AStarOnlineDWA(robots=robots),
     "astar_dwa": lambda robots: AStarDWA(robots=robots),
 }
@@ -116,6 +122,7 @@ DEFAULT_METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa", "vari
 VERSIONS = {
     "dqn_ensemble": str(EPISODE_VERSION),
     "astar_online_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",
+    "astar_online_dqn, heeds unseen": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}.{HEEDS_VERSION}",
     "varied_dqn": str(EPISODE_VERSION),
     "rooms_dqn": str(EPISODE_VERSION),
     "astar_online_dqn, rooms_dqn": f"{EPISODE_VERSION}.{DWA_VERSION}.{STEER_VERSION}",

@@ -56,7 +56,9 @@ LEARNED = {
 }  # fmt: skip
 VARIANTS = ("dqn_reverse", "dqn_curriculum", "dqn_quantile")  # only run when asked for by name
 PLANNERS: dict[str, Callable[..., Any]] = {
-    "astar_online_dqn": partial(PlanAndSteer, slows_within=1.0),  # steers with the packaged policy
+    "astar_online_dqn": partial(
+        PlanAndSteer, slows_within=1.0, heeds_unseen=False
+    ),  # steers with the packaged policy
     "astar_dwa": AStarDWA,
     "astar_online_dwa": AStarOnlineDWA,
     "dwa": LocalDWA,

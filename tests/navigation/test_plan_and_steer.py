@@ -8,6 +8,8 @@ import pytest
 from eldenet.navigation.episodes import Episodes, EpisodeSettings
 from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.observer import Senses
+from eldenet.navigation.planners.dwa import DynamicWindow
+from eldenet.navigation.planners.online_map import OnlineMap
 from eldenet.navigation.planners.plan_and_steer import SIDEWAYS, PlanAndSteer, is_circle, sideways
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
@@ -91,10 +93,11 @@ def test_it_backs_up_where_it_can_only_stand():
     ahead = np.stack([np.full(13, 0.36), y], axis=1)
     beside = [np.stack([np.linspace(-0.2, 0.3, 11), np.full(11, side)], axis=1) for side in (-0.31, 0.31)]
     walls = np.concatenate([ahead, *beside])
-    assert driver._careful(0, 0.0, walls)[0] < 0
+    nothing = np.empty((0, 2))
+    assert driver._careful(0, 0.0, walls, nothing)[0] < 0
     behind = np.stack([np.full(13, -0.4), y], axis=1)
     driver.reset(0)
-    assert driver._careful(0, 0.0, np.concatenate([walls, behind])) == (0.0, 0.0)
+    assert driver._careful(0, 0.0, np.concatenate([walls, behind]), nothing) == (0.0, 0.0)
 
 
 def test_a_circle_is_a_place_again_after_a_way():
@@ -118,3 +121,31 @@ def test_a_driver_that_backs_up_cannot_steer_for_a_plan(tmp_path):
     driver.save(tmp_path / "backs.safetensors")
     with pytest.raises(ValueError, match="give a policy that never backs up"):
         PlanAndSteer(tmp_path / "backs.safetensors")
+
+
+def test_its_dynamic_window_keeps_out_of_places_that_nobody_saw():
+    window, nothing = DynamicWindow(), np.empty((0, 2))
+    y = np.linspace(-0.4, 0.4, 9)
+    wall = np.stack([np.full(9, 0.7), y], axis=1)
+    free = window.choose(nothing, (1.3, 0.0), (0.5, 0.0))
+    assert free[0] > 0.5
+    assert window.choose(nothing, (1.3, 0.0), (0.5, 0.0), wall)[0] <= 0.3
+
+
+def test_beside_a_wall_it_may_turn_away():
+    """Its rear comes nearer to the wall first, by a centimeter or two."""
+    wall = np.stack([np.linspace(-2, 2, 81), np.full(81, -0.32)], axis=1)
+    speeds = [DynamicWindow(slack).choose(wall, (1.2, 0.5), (0.4, 0.0)) for slack in (0.0, 0.025)]
+    assert speeds[0][1] == 0 or speeds[0][0] < speeds[1][0]
+    assert speeds[1][1] > 0
+
+
+def test_what_rays_met_was_seen_and_what_is_behind_was_not():
+    known, pose = OnlineMap(), np.zeros(3)
+    known.add(known.place(pose), np.full(ROBOT.columns, 2.0))
+    unseen = known.unseen_near(pose, 3.0)
+    bearing = np.arctan2(unseen[:, 1], unseen[:, 0] - ROBOT.camera_ahead)
+    away = np.hypot(*unseen.T)
+    assert not ((np.abs(bearing) < 0.4) & (away < 1.9)).any()
+    assert ((np.abs(bearing) < 0.4) & (away > 2.5)).any()
+    assert not (away < 0.2).any()  # under the robot

@@ -27,9 +27,15 @@ DWA_VERSION = 2
 
 
 class DynamicWindow:
-    """Chooses a command toward a target among obstacle points, for one robot."""
+    """Chooses a command toward a target among obstacle points, for one robot.
 
-    def __init__(self) -> None:
+    Args:
+        slack: room that an arc may lose where the robot has little [m]: an arc away from a wall first
+            brings the rear nearer to it.
+    """
+
+    def __init__(self, slack: float = 0.0) -> None:
+        self.slack = slack
         self.table = arc_table(COMMANDS, HORIZON, WINDOW_MARGIN)
         speed, turn = self.table.commands.T
         self.speed, self.turn = speed, turn
@@ -39,7 +45,11 @@ class DynamicWindow:
         self.end = np.stack([chord * np.cos(half), chord * np.sin(half), 2 * half], axis=1)
 
     def choose(
-        self, points: np.ndarray, target: tuple[float, float], last: tuple[float, float]
+        self,
+        points: np.ndarray,
+        target: tuple[float, float],
+        last: tuple[float, float],
+        unseen: np.ndarray | None = None,
     ) -> tuple[float, float]:
         """Return speed [m/s] and turn rate [rad/s], both within the dynamic window around ``last``.
 
@@ -47,6 +57,7 @@ class DynamicWindow:
             points: ``(M, 2)`` obstacle points in the robot's frame [m].
             target: x ahead, y left [m].
             last: the current command.
+            unseen: ``(M, 2)`` points that nobody has seen [m]: arcs end there too, but need no room beside.
         """
         near = (np.abs(points) < REACH).all(axis=1)
         cells = self.table.cells(points[near, 0], points[near, 1])
@@ -56,6 +67,9 @@ class DynamicWindow:
             gap = self.table.gap[cells].min(axis=0) / 100.0
         else:
             free, gap = np.full(len(self.speed), HORIZON), np.full(len(self.speed), ENOUGH)
+        if unseen is not None and (near := (np.abs(unseen) < REACH).all(axis=1)).any():
+            cells = np.unique(self.table.cells(unseen[near, 0], unseen[near, 1]))
+            free = np.minimum(free, self.table.time[cells].min(axis=0) * STEP)
         window = (np.abs(self.speed - last[0]) <= ACCELERATION * ROBOT.period + 1e-9) & (
             np.abs(self.turn - last[1]) <= TURN_ACCELERATION * ROBOT.period + 1e-9
         )
@@ -70,8 +84,8 @@ class DynamicWindow:
         score = (before - reached) - 0.35 * turned + CLEARANCE * np.minimum(gap, ENOUGH)
         score += 0.15 * self.speed
         safe = ahead >= np.minimum(STOPPING_TIME + 0.8 * self.speed, HORIZON) - 1e-9
-        # with less room already, no arc may reduce it
-        room = min(WINDOW_ROOM, float(gap[self._standing]))
+        # with less room already, no arc may reduce it by more than the slack
+        room = min(WINDOW_ROOM, max(float(gap[self._standing]) - self.slack, min(self.slack, 0.01)))
         allowed = safe & window & (self.speed > 0) & (gap >= room)
         if allowed.any():
             best = int(np.argmax(np.where(allowed, score, -np.inf)))

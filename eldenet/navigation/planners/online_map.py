@@ -13,6 +13,8 @@ from eldenet.simulation.robot import ROBOT
 SURE = 4  # evidence of a cell that is occupied for sure, of 8
 LEAST_ROOM, NEAR = 0.20, 0.5  # clearance of a way [m]; distance to the robot and to a goal that counts [m]
 TIGHT = 0.30  # inflation if no path exists at the full one [m]
+_UNDER = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-6, 7)), axis=-1).reshape(-1, 2) * RESOLUTION / 2
+_UNDER = _UNDER[np.hypot(*_UNDER.T) < ROBOT.length / 2]  # a disc under the robot [m]
 _MARGIN = 2.0  # around the map: odometry may drift out of the arena [m]
 
 
@@ -27,11 +29,13 @@ class OnlineMap:
         self.side = 2 * SIDE + _MARGIN  # the start is the center, the goal up to a side away
         self.count = round(self.side / RESOLUTION)
         self.evidence = np.zeros((self.count, self.count), np.int8)
+        self.seen = np.zeros((self.count, self.count), bool)  # a ray met it, or the robot stood there
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self.evidence[:] = 0
+        self.seen[:] = False
         self.origin = np.full(2, np.nan)
 
     def covers(self, odometry: np.ndarray) -> bool:
@@ -64,6 +68,9 @@ class OnlineMap:
         passed = steps[None, :] < free[:, None] - 0.15
         cells = self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[passed]))
         grid[cells] = np.maximum(grid[cells] - 1, -2)
+        met = steps[None, :] < free[:, None] + RESOLUTION / 2
+        self.seen[self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[met]))] = True
+        self.seen[self.cells(self._inside(pose[:2] + _UNDER))] = True
         ends = ranges < ROBOT.far
         cells = self.cells(self._inside(camera + ranges[ends, None] * rays[ends]))
         grid[cells] = np.minimum(np.maximum(grid[cells], 0) + 2, 8)
@@ -79,15 +86,33 @@ class OnlineMap:
 
     def near(self, pose: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """Centers of the cells within ``reach`` [m] ``(M, 2)`` [m], and their evidence ``(M,)``."""
+        centers, inside, window = self._around(pose, reach)
+        return centers[inside], self.evidence[window].ravel()[inside]
+
+    def unseen_near(self, pose: np.ndarray, reach: float) -> np.ndarray:
+        """Centers ``(M, 2)`` [m] of cells within ``reach`` that were never seen.
+
+        Cells beside a seen one do not count: a camera may not see them from where the robot came. But beside
+        a wall they do, for walls go on.
+        """
+        import cv2
+
+        centers, inside, window = self._around(pose, reach)
+        seen = self.seen[window]
+        beside = cv2.dilate(seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        walls = cv2.dilate((self.evidence[window] > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        return centers[inside & ~(seen | (beside & ~walls)).ravel()]
+
+    def _around(self, pose: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, tuple[slice, slice]]:
+        """Centers ``(M, 2)`` [m] of a window of cells, which are within ``reach`` [m], and the window."""
         low, high = (
             np.clip((pose[:2] + self.side / 2 + beside) / RESOLUTION, 0, self.count).astype(int)
             for beside in (-reach - 0.2, reach + 0.2)
         )
-        window = self.evidence[low[1] : high[1], low[0] : high[0]]
         rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]]
         centers = (np.stack([columns.ravel(), rows.ravel()], axis=1) + 0.5) * RESOLUTION - self.side / 2
         inside = np.hypot(*(centers - pose[:2]).T) < reach
-        return centers[inside], window.ravel()[inside]
+        return centers, inside, (slice(low[1], high[1]), slice(low[0], high[0]))
 
     def walls_near(self, pose: np.ndarray, reach: float = 3.0) -> np.ndarray:
         """Centers of occupied cells within ``reach`` ``(M, 2)`` [m]."""

@@ -22,7 +22,7 @@ from eldenet.navigation.planners.astar import goal_in_world, to_robot
 from eldenet.navigation.planners.dwa import DynamicWindow
 from eldenet.navigation.planners.online_map import OnlineMap
 from eldenet.navigation.policy import Driver, Navigator
-from eldenet.navigation.safety_margins import BESIDE, FAST_ROOM, STEER_MARGIN, STEER_ROOM
+from eldenet.navigation.safety_margins import BESIDE, FAST_ROOM, STEER_MARGIN, STEER_ROOM, WINDOW_SLACK
 from eldenet.simulation.robot import ROBOT
 
 REPLAN_EVERY = 5  # control periods
@@ -40,12 +40,13 @@ SIDEWAYS = 0.1  # speed across its heading from which on a robot slides [m/s]; a
 SLIDING_FOR = 5.0  # time for which it then drives slower [s]
 SLIDING_SPEED = 0.5  # of it then, relative to the learned driver's
 FREE_START = 0.6  # radius around the start that counts as seen [m]
+LOOK_WAY, LOOK_TURN = 0.3, 2 * math.pi  # turns so far within a way, it has seen what can be seen [m], [rad]
 UNSEEN_REACH = 1.6  # distance up to which unseen places count [m]
 CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] after a way [m] and a time [s]
 OUT_OF_CIRCLE = 8.0  # time for which the dynamic window alone then follows a path through wide places [s]
 BACK, BACKS_FOR = (-0.25, 0.0), 2.0  # command [m/s], [rad/s] of a robot that can only stand, for a time [s]
-#: Of what this driver decides; stored rows name it.
-STEER_VERSION = 4
+#: Of what this driver decides, without and with ``heeds_unseen``; stored rows name it.
+STEER_VERSION, HEEDS_VERSION = 4, 1
 _LEVELS = 20  # of speed in the table of arcs
 
 
@@ -59,6 +60,8 @@ class PlanAndSteer(OnRobot):
     Args:
         path: policy of the learned driver; None: the packaged one.
         slows_within: distance to the goal at which it slows down [m].
+        heeds_unseen: the dynamic window keeps out of places never seen until the robot has looked all round,
+            and may turn away from a wall close by; False: as for the stored rows of the studies.
         robots: number of robots.
 
     Raises:
@@ -77,9 +80,11 @@ class PlanAndSteer(OnRobot):
         path: str | Path | Sequence[str | Path] | None = None,
         *,
         slows_within: float | None = 1.0,
+        heeds_unseen: bool = True,
         robots: int = 1,
     ) -> None:
         super().__init__()
+        self.heeds_unseen = heeds_unseen
         self.navigator = Navigator.load(path, slows_within=slows_within, robots=robots)
         self.observer: Driver = self.navigator.observer
         rates = self.observer.turn_rates.tolist()
@@ -100,7 +105,8 @@ class PlanAndSteer(OnRobot):
         self._backs = np.zeros(robots, np.intp)  # control periods that it still backs up
         self._closed = np.zeros(robots, np.intp)  # control periods without a way
         self.circles = np.zeros(robots, np.intp)
-        self._window = DynamicWindow()
+        self._looks = np.zeros((robots, 3))  # where it is [m], and how far it has turned there [rad]
+        self._window = DynamicWindow(WINDOW_SLACK if heeds_unseen else 0.0)
         arcs = [(level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates]
         self._table = arc_table((*arcs, BACK), HORIZON, STEER_MARGIN)
 
@@ -117,7 +123,7 @@ class PlanAndSteer(OnRobot):
         self._paths[robot] = None
         self._trails[robot] = []
         self._before[robot] = np.nan
-        self._sliding[robot] = 0
+        self._sliding[robot] = self._looks[robot] = 0
         self._left[robot] = self._backs[robot] = self.circles[robot] = self._closed[robot] = 0
 
     @property
@@ -162,7 +168,9 @@ class PlanAndSteer(OnRobot):
                     speed = max(wanted[0], self._fastest(int(action), distance, walls, unseen))
                 out[robot] = speed, wanted[1]
             else:
-                out[robot] = self._careful(robot, float(goal[robot, 1]), walls)
+                hidden = self._hidden(robot, poses[robot])
+                out[robot] = self._careful(robot, float(goal[robot, 1]), walls, hidden)
+            self._looked(robot, out[robot], poses[robot])
         self.observer.last = out
         return out
 
@@ -217,21 +225,38 @@ class PlanAndSteer(OnRobot):
         centers, evidence = self._maps[robot].near(pose, UNSEEN_REACH)
         return to_robot(centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)], pose)
 
-    def _careful(self, robot: int, bearing: float, walls: np.ndarray) -> tuple[float, float]:
+    def _hidden(self, robot: int, pose: np.ndarray) -> np.ndarray:
+        """As :meth:`_unseen`, but without slivers; none once the robot has looked all round."""
+        if not self.heeds_unseen or self._looks[robot, 2] > LOOK_TURN:
+            return np.empty((0, 2))
+        centers = self._maps[robot].unseen_near(pose, UNSEEN_REACH)
+        return to_robot(centers[np.hypot(*centers.T) > FREE_START], pose)
+
+    def _looked(self, robot: int, command: np.ndarray, pose: np.ndarray) -> None:
+        """Count how far it has turned where it stands, ``pose (3,)``."""
+        if math.dist(pose[:2], self._looks[robot, :2]) > LOOK_WAY:
+            self._looks[robot] = *pose[:2], 0.0
+        self._looks[robot, 2] += abs(float(command[1])) * ROBOT.period
+
+    def _careful(
+        self, robot: int, bearing: float, walls: np.ndarray, hidden: np.ndarray
+    ) -> tuple[float, float]:
         """Command of the dynamic window; where that can only stand, back up or turn on the spot.
 
-        ``walls (M, 2)`` are remembered points in the robot's frame [m], here and below.
+        ``walls (M, 2)`` are remembered points in the robot's frame [m], here and below; ``hidden (M, 2)``
+        were never seen.
         """
         target = DWA_AHEAD * math.cos(bearing), DWA_AHEAD * math.sin(bearing)
         last = tuple(self.observer.last[robot])
         self._backs[robot] = max(self._backs[robot] - 1, 0)
         if self._backs[robot] == 0:
-            command = self._window.choose(walls, target, last)
+            command = self._window.choose(walls, target, last, hidden)
             if command != (0.0, 0.0) or last[0] > 0:
                 return command
             self._backs[robot] = round(BACKS_FOR / ROBOT.period)
             self._left[robot] = round(OUT_OF_CIRCLE / ROBOT.period)
-        if _along(self._table, walls, len(self._table.commands) - 1)[0] >= FREE:
+        behind = np.concatenate([walls, hidden])
+        if _along(self._table, behind, len(self._table.commands) - 1)[0] >= FREE:
             return BACK
         self._backs[robot] = 0
         return 0.0, self._free_turn(bearing, last[1], walls)
