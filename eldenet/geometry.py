@@ -27,6 +27,8 @@ LEAST_FOCAL = 0.5 / math.tan(math.radians(DEGREES[1]) / 2)  # in widths of the p
 MAX_SKEW, MAX_STRETCH = 0.01, 2.0  # relative to fx; fx / fy or fy / fx
 MOST_SENSOR = 55.0  # side of an image sensor [mm]
 CENTRAL = (0.3, 0.7)  # where principal points lie, in widths and heights of the picture
+MOST_SQUARE = 1.2  # aspect up to which a picture and itself turned by 90 degrees have much the same middle
+TURNED = 0.02  # how near they lie to the middle of the picture turned by 90 degrees, if that is meant
 _OR_ANY_LENS = f"; {ANY_LENS}=1 allows any lens"
 LARGEST = 100.0  # of depth in meters: a camera also sees something near
 MOSTLY = 0.9  # share of the known depth above it that shows another unit
@@ -118,7 +120,10 @@ def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int], *, inside: b
     height, width = size[0], size[1]
     middle = f"{max(1, 2 * column + 1):.0f} x {max(1, 2 * row + 1):.0f}"  # of which it is the middle
     at = f"the principal point ({column:g}, {row:g})"
-    centered = all(CENTRAL[0] <= share <= CENTRAL[1] for share in (column / width, row / height))
+    shares = (column + 0.5) / width, (row + 0.5) / height
+    turned = max(abs(shares[0] * width / height - 0.5), abs(shares[1] * height / width - 0.5)) < TURNED
+    turned &= not 1 / MOST_SQUARE < width / height < MOST_SQUARE
+    centered = not turned and all(CENTRAL[0] <= share <= CENTRAL[1] for share in shares)
     hint = ""
     if max(column, row) <= 1 and not centered:
         pixels = f"{fx * width:g}, {matrix[1, 1] * height:g}, {column * width:g}, {row * height:g}"

@@ -162,6 +162,15 @@ def test_intrinsics_of_another_size_name_the_size_that_they_are_right_for(factor
     assert [f"right at about {right}" in record.getMessage() for record in caplog.records] == [True]
 
 
+@pytest.mark.parametrize(("size", "warned"), [((480, 640), 1), ((640, 640), 0), ((600, 640), 0), ((4, 4), 0)])
+def test_intrinsics_of_the_turned_picture_are_warned_of(size, warned, caplog) -> None:
+    middle = ((size[1] - 1) / 2, (size[0] - 1) / 2)
+    check_intrinsics(pinhole(size[1], size[1], *middle), size)
+    assert not caplog.records
+    check_intrinsics(pinhole(size[1], size[1], *reversed(middle)), size)
+    assert len(caplog.records) == warned
+
+
 def test_one_variable_lets_any_lens_through(monkeypatch: pytest.MonkeyPatch, caplog) -> None:
     monkeypatch.setenv("ELDENET_ANY_LENS", "1")
     for camera in ((26, 26, 320, 240), (518, 150, 100, 240), (40_000, 40_000, 320, 240)):

@@ -87,8 +87,13 @@ def read_torch(path: Path) -> Any:
                 if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
                     raise ValueError("its entries are compressed, which torch.save never does")
                 damaged = archive.testzip()
+                pickled = b"".join(archive.read(name) for name in archive.namelist() if name.endswith(".pkl"))
             if damaged is not None:
                 raise ValueError(f"wrong checksum of {damaged}")
+        else:
+            pickled = path.read_bytes()
+        if b"bytearray\n" in pickled:  # which torch lets a pickle make, of any size
+            raise ValueError("it holds a bytearray, which no state dict has")
         try:
             content = torch.load(path, map_location="cpu", weights_only=True)
         except pickle.UnpicklingError as error:

@@ -41,6 +41,7 @@ train/label/0.npy ..., val/label/...   (optional: (128, 256), classes, -1 = none
 """
 _LOG = logging.getLogger("eldenet")
 STREET_RANGE = (1.0, 80.0)  # [m]
+WIDEST = 3.0  # baseline of cameras on one car [m]
 KINDS = {"leftImg8bit": ".png", "disparity": ".png", "camera": ".json"}
 
 
@@ -144,6 +145,8 @@ def read_camera(path: Path) -> tuple[np.ndarray, float]:
             f"{path}: fx={fx}, fy={fy}, baseline={baseline} must be above 0, and u0={cx}, v0={cy} "
             "finite: fetch it again"
         )
+    if baseline > WIDEST:
+        raise ValueError(f"{path}: baseline={baseline} is wider than a car: give it in meters")
     return pinhole(fx, fy, cx, cy), baseline
 
 

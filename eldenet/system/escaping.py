@@ -29,7 +29,8 @@ _LATEX = str.maketrans(
 )
 _USER = re.compile(r"(?<=://)(?:[^/\s]*|[^/\s:@]*:(?!\d+/)[^\s@]*)@")  # a password may hold any sign
 _SECRET = re.compile(
-    r"([?&;][^=&\s]*(?:pass|pwd|token|key|secret|auth|sig|cred)[^=&\s]*=)[^&\s]+", re.IGNORECASE
+    r"((?:[?&;#][^=&\s]*(?:pass|pwd|token|key|secret|auth|sig|cred)[^=&\s]*|password|passwd|pwd)=)[^&\s]+",
+    re.IGNORECASE,
 )
 _FORMULA = tuple("=+-@＝＋－＠")
 _NUMBER = r"[+-]?(?:\d+\.?\d*(?:e[+-]?\d+)?|nan|inf)"

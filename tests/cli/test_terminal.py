@@ -84,6 +84,8 @@ def test_what_is_logged_and_warned_of_is_one_line(capsys: pytest.CaptureFixture[
         ("rtsp://admin:p/ss@10.0.0.1/a", "rtsp://10.0.0.1/a"),
         ("http://h/a.mjpg?user=me&password=x&n=1", "http://h/a.mjpg?user=me&password=...&n=1"),
         ("http://h/a?Access_Token=x y", "http://h/a?Access_Token=... y"),
+        ("http://h/a#token=x&n=1", "http://h/a#token=...&n=1"),
+        ("rtsp://10.0.0.1/user=me_password=x_channel=1 y", "rtsp://10.0.0.1/user=me_password=... y"),
         ("camera:0", "camera:0"),
         ("rtsp://10.0.0.1/x", "rtsp://10.0.0.1/x"),
         ("a@b.mp4", "a@b.mp4"),

@@ -67,6 +67,10 @@ def test_each_frame_has_its_own_camera(tmp_path: Path) -> None:
     (root / data.files[1][2]).write_text(json.dumps(camera))
     one, other = data.load_frame(0).depth, data.load_frame(1).depth
     np.testing.assert_allclose(other, 2 * one, rtol=1e-6)
+    camera["extrinsic"]["baseline"] = 209.313
+    (root / data.files[1][2]).write_text(json.dumps(camera))
+    with pytest.raises(ValueError, match=r"baseline=209.313 is wider than a car: give it in meters"):
+        data.load_frame(1)
 
 
 def test_smaller_files_keep_depth_and_scale_the_camera(tmp_path: Path) -> None:

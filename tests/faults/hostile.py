@@ -447,6 +447,18 @@ def deflated_weights(folder: Path) -> Attack:
 
 
 @hostile
+def a_bytearray_of_64_gigabytes(folder: Path) -> Attack:
+    file, use = _state(folder, {})
+    with zipfile.ZipFile(file) as whole:
+        entries = {entry: whole.read(entry) for entry in whole.namelist()}
+    pickled = b"\x80\x02}X\1\0\0\0acbuiltins\nbytearray\n\x8a\x05\0\0\0\0\x10\x85Rs."
+    with zipfile.ZipFile(file, "w") as damaged:
+        for entry, content in entries.items():
+            damaged.writestr(entry, pickled if entry.endswith("data.pkl") else content)
+    return file, use
+
+
+@hostile
 def a_webp_of_34_bytes_and_268_million_pixels(folder: Path) -> Attack:
     file = folder / "picture.webp"
     bits = struct.pack("<I", 0x3FFF - 1 | (0x3FFF - 1) << 14)

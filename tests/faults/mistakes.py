@@ -291,8 +291,8 @@ def a_network_that_answers_no_depth(folder: Path, rng: np.random.Generator) -> C
 
     depth = rng.uniform(1, 9, (1, 1, 8, 8)).astype(np.float32)
     depth[..., rng.integers(8), rng.integers(8)] = 0
-    answers = (depth, -depth, depth.astype(np.int64), np.ones((1, 3, 8, 8), np.float32), depth / 0)
-    return lambda: check_depth(answers[rng.integers(5)]), REFUSED
+    answers = (depth, -depth, depth.astype(np.int64), np.ones((1, 3, 8, 8), np.float32), depth / 0, depth[:0])
+    return lambda: check_depth(answers[rng.integers(len(answers))]), REFUSED
 
 
 @mistake

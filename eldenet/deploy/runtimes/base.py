@@ -176,7 +176,12 @@ def check_depth(depth: np.ndarray) -> None:
     Raises:
         ValueError: several channels, whole numbers, or depth that is not finite or not above 0.
     """
-    if (depth.ndim == 4 and depth.shape[1] != 1) or depth.ndim not in (2, 4) or depth.dtype.kind != "f":
+    if (
+        (depth.ndim == 4 and depth.shape[1] != 1)
+        or depth.ndim not in (2, 4)
+        or depth.dtype.kind != "f"
+        or not depth.size
+    ):
         raise ValueError(
             f"the network answers with {depth.shape} {depth.dtype}, which is no depth: export one that maps "
             "images to one float map (B, 1, H, W) of meters"
