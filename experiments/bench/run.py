@@ -1,0 +1,285 @@
+"""Score weights or an exported file on what people point a camera at: places, shapes, lenses, distances.
+
+python experiments/bench/run.py eldenet_indoor
+python experiments/bench/run.py int8=exports/indoor-int8.onnx --runtime onnxruntime --places nyu
+python experiments/bench/run.py          the table and the plot of what is stored
+
+A shape or a longer lens is a part of the frame, with the focal length of the frame. Its depth is scored on
+its own pixels, beside the whole frame's depth on the same pixels. Frames are those of ``$ELDENET_DATA``; rooms
+are rendered.
+"""
+
+import argparse
+import math
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from eldenet.system.resources import prepare_environment
+
+prepare_environment()
+
+import numpy as np  # noqa: E402
+import torch  # noqa: E402
+
+import eldenet  # noqa: E402
+from eldenet.compose import compose  # noqa: E402
+from eldenet.data.io import read_depth, read_image  # noqa: E402
+from eldenet.deploy import runtimes  # noqa: E402
+from eldenet.deploy.predictor import DepthPredictor  # noqa: E402
+from eldenet.evaluation.bootstrap import bootstrap_interval, scenes_of  # noqa: E402
+from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
+from eldenet.evaluation.splits import chosen_protocol, open_split  # noqa: E402
+from eldenet.geometry import crop_intrinsics, pinhole  # noqa: E402
+from eldenet.results.plots import pyplot_for_files, save_figure  # noqa: E402
+from eldenet.results.run_record import environment  # noqa: E402
+from eldenet.results.tables import to_markdown  # noqa: E402
+from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
+from eldenet.train import TrainSettings  # noqa: E402
+from eldenet.types import Frame  # noqa: E402
+
+HERE = Path(__file__).parent
+STORED = HERE / "frames.csv.gz"
+#: Place -> settings of its frames, or the intrinsics of its pictures [px] below ``other_cameras``.
+PLACES = {
+    "nyu": ["data=nyu_labelled"],
+    "nyu_dev": ["data=nyu_labelled", "data.val.split=dev"],
+    "rooms": ["data=rooms", "data.size=[192,256]", "data.frames.test=64", "data.detail=true"],
+    "hololens_office": (440.5, 440.4, 239.6, 150.4),
+    "tum_fr3_cabinet": (401.6, 404.4, 240.1, 185.7),
+}
+SHAPES = {"16:9": 16 / 9, "2:1": 2.0, "3:4": 3 / 4, "9:16": 9 / 16}  # width / height
+ZOOMS = {"1.25x": 1.25, "1.5x": 1.5, "2x": 2.0}
+VIEWS = ("whole", *SHAPES, *ZOOMS)
+BINS = ((0.2, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 10.0))  # true depth [m]
+NEAR = tuple(f"abs_rel_{low:g}_{high:g}" for low, high in BINS)
+FIGURES = (
+    "delta1",
+    "abs_rel",
+    "delta1_aligned",
+    "whole_delta1",
+    "median_truth",
+    "median_depth",
+    "inside80",
+    *NEAR,
+)
+COLUMNS = ("weights", "runtime", "place", "frame", "view", *FIGURES)
+ENOUGH = 50  # pixels of a distance
+
+
+def frames_of(place: str) -> tuple[EvalProtocol, list[Frame]]:
+    """The protocol and the frames of a place."""
+    given = PLACES[place]
+    settings = given if isinstance(given, list) else ["data=folder", "data.root=."]
+    config = compose(TrainSettings, settings)
+    protocol = chosen_protocol(config.data, config.protocol)
+    if isinstance(given, list):
+        split = open_split(config.data, "test" if place == "rooms" else "val", protocol)
+        return protocol, [split.load_frame(index) for index in range(len(split))]
+    root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
+    pairs = [
+        row for row in read_table(root / "pairs.csv", ("rgb", "depth_mm")) if row["rgb"].startswith(place)
+    ]
+    return protocol, [
+        Frame(
+            read_image(root / row["rgb"]),
+            read_depth(root / row["depth_mm"], "mm"),
+            pinhole(*given),
+            row["rgb"],
+        )
+        for row in pairs
+    ]
+
+
+def part_of(size: tuple[int, int], view: str) -> tuple[slice, slice]:
+    """Rows and columns of a frame of ``(height, width)`` that a view shows: the middle of it."""
+    height, width = size
+    if view in ZOOMS:
+        seen = round(height / ZOOMS[view]), round(width / ZOOMS[view])
+    elif view in SHAPES:
+        seen = min(height, round(width / SHAPES[view])), min(width, round(height * SHAPES[view]))
+    else:
+        seen = size
+    starts = [(side - part) // 2 for side, part in zip(size, seen, strict=True)]
+    return tuple(slice(start, start + part) for start, part in zip(starts, seen, strict=True))
+
+
+def share_right(depth: np.ndarray, truth: np.ndarray) -> float:
+    """delta1 of valid depths ``(N,)`` [m]."""
+    return float((np.maximum(depth / truth, truth / depth) < 1.25).mean())
+
+
+def figures(
+    found, truth: np.ndarray, whole: np.ndarray, known: np.ndarray, protocol: EvalProtocol
+) -> list[float]:
+    """``FIGURES`` of one view from its estimate, and the true and the whole frame's depth on its pixels."""
+    truth = truth[known]
+    depth, beside = (one[known].clip(protocol.min_depth, protocol.max_depth) for one in (found.depth, whole))
+    aligned = depth * np.median(truth) / np.median(depth)
+    relative = np.abs(depth - truth) / truth
+    inside = math.nan
+    if found.sigma is not None:
+        low, high = (limit[known] for limit in found.interval(0.8))
+        inside = float(((low <= truth) & (truth <= high)).mean())
+    near = [relative[(truth >= low) & (truth < high)] for low, high in BINS]
+    return [
+        share_right(depth, truth),
+        float(relative.mean()),
+        share_right(aligned, truth),
+        share_right(beside, truth),
+        float(np.median(truth)),
+        float(np.median(depth)),
+        inside,
+        *(float(part.mean()) if len(part) >= ENOUGH else math.nan for part in near),
+    ]
+
+
+def score(name: str, predictor: DepthPredictor, place: str) -> Iterator[list[object]]:
+    """Rows of a network's views of a place; one that knows no focal lengths is given none."""
+    protocol, frames = frames_of(place)
+    runtime = getattr(predictor.model, "runtime", "torch")
+    for image, depth, intrinsics, frame, *_ in frames:
+        truth, mask = (torch.from_numpy(values)[None, None] for values in (depth, depth > 0))
+        known = protocol.valid_mask(truth, mask)[0, 0].numpy()
+        whole = None
+        for view in VIEWS:
+            box = part_of(depth.shape, view)
+            if known[box].sum() < ENOUGH:
+                continue
+            part = crop_intrinsics(intrinsics, box[0].start, box[1].start)
+            camera = part if predictor.canonical_px else None
+            found = eldenet.uncertainty.as_estimate(
+                predictor(np.ascontiguousarray(image[box]), intrinsics=camera)
+            )
+            whole = found.depth if whole is None else whole
+            values = figures(found, depth[box], whole[box], known[box], protocol)
+            yield [name, runtime, place, frame, view, *(f"{value:.5g}" for value in values)]
+
+
+def predictor_of(source: str, runtime: str) -> DepthPredictor:
+    """The predictor of weights, or of an exported file."""
+    is_file = Path(source).suffix in runtimes.READS
+    network = runtimes.load(source, runtime, threads=1) if is_file else eldenet.load(source)
+    return DepthPredictor(network, steady=False, uncertainty=network.distribution is not None)
+
+
+def log_slope(rows: Sequence[dict[str, str]]) -> float:
+    """Slope of ln predicted over ln true median of frames: 1 where the scale follows the scene."""
+    truth, depth = (np.log([float(row[name]) for row in rows]) for name in ("median_truth", "median_depth"))
+    return float(np.polyfit(truth, depth, 1)[0])
+
+
+def mean(rows: Sequence[dict[str, str]], figure: str) -> str:
+    """The mean of a figure over the frames that have it."""
+    values = np.array([float(row[figure]) for row in rows])
+    return f"{np.nanmean(values):.3f}" if np.isfinite(values).any() else ""
+
+
+def change(rows: Sequence[dict[str, str]]) -> str:
+    """delta1 of views, and how far it lies from the whole frame's on the same pixels, with its interval."""
+    values = np.array([float(row["delta1"]) - float(row["whole_delta1"]) for row in rows])
+    low, high = bootstrap_interval(
+        lambda drawn: float(values[drawn].mean()), scenes_of([row["frame"] for row in rows])
+    )
+    return f"{mean(rows, 'delta1')} ({values.mean():+.3f} [{low:+.3f}, {high:+.3f}])"
+
+
+def report(stored: Sequence[dict[str, str]]) -> None:
+    """Write ``results.md`` and the plot."""
+    groups: dict[tuple[str, str, str], dict[str, list[dict[str, str]]]] = {}
+    for row in stored:
+        key = (row["place"], row["weights"], row["runtime"])
+        groups.setdefault(key, {}).setdefault(row["view"], []).append(row)
+    text = ["# bench\n"]
+    heads = {
+        "Whole frames": ["frames", "δ1", "AbsRel", "δ1, aligned", "log slope", "inside 80 %"],
+        "Distances: AbsRel of pixels at": [f"{low:g} to {high:g} m" for low, high in BINS],
+        "Shapes: δ1 (less the whole frame's on the same pixels)": list(SHAPES),
+        "Lenses: δ1 (less the whole frame's on the same pixels)": list(ZOOMS),
+    }
+    for number, (title, columns) in enumerate(heads.items()):
+        lines = []
+        for key, views in sorted(groups.items(), key=lambda item: (list(PLACES).index(item[0][0]), item[0])):
+            whole = views["whole"]
+            cells = [
+                [len(whole), *(mean(whole, name) for name in FIGURES[:3]), f"{log_slope(whole):.2f}"],
+                [mean(whole, name) for name in NEAR],
+                [change(views[view]) for view in SHAPES if view in views],
+                [change(views[view]) for view in ZOOMS if view in views],
+            ][number]
+            lines.append([*key, *map(str, cells), *([mean(whole, "inside80")] if number == 0 else [])])
+        text.append(f"## {title}\n\n{to_markdown(['place', 'weights', 'runtime', *columns], lines, [])}")
+    facts = environment()
+    text.append(
+        "Brackets: 95 % intervals over scenes. Aligned: each frame times median(truth) / median(prediction). "
+        "Inside: share of pixels whose true depth lies in the 80 % interval. Log slope: of predicted over true "
+        f"median, over frames. {facts['hardware']['processor']}, 1 thread, torch {facts['versions']['torch']}. Made by "
+        "`python experiments/bench/run.py`.\n"
+    )
+    write_text(HERE / "results.md", "\n".join(text))
+    plot(groups)
+
+
+def plot(groups: dict[tuple[str, str, str], dict[str, list[dict[str, str]]]]) -> None:
+    """delta1 of every view, a line for each network, a panel for each place."""
+    places = [place for place in PLACES if any(key[0] == place for key in groups)]
+    pyplot = pyplot_for_files()
+    figure, axes = pyplot.subplots(
+        1, len(places), figsize=(3.2 * len(places), 3.4), sharey=True, squeeze=False
+    )
+    for axis, place in zip(axes[0], places, strict=True):
+        for (where, weights, runtime), views in groups.items():
+            if where == place:
+                shown = [view for view in VIEWS if view in views]
+                axis.plot(
+                    shown,
+                    [float(mean(views[view], "delta1")) for view in shown],
+                    "o-",
+                    ms=3,
+                    label=f"{weights}, {runtime}",
+                )
+        axis.set_title(place, fontsize=9)
+        axis.tick_params(axis="x", rotation=60, labelsize=8)
+        axis.grid(alpha=0.3)
+    axes[0, 0].set_ylabel("δ1, unaligned")
+    axes[0, 0].legend(fontsize=6)
+    save_figure(figure, HERE / "bench.png")
+
+
+def main() -> None:
+    """Score ``sources``, store the figures of their frames, and write the report."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    options.add_argument(
+        "sources", nargs="*", help="packaged weights, folders or exported files, or NAME=SOURCE"
+    )
+    options.add_argument(
+        "--places", nargs="*", choices=PLACES, default=[name for name in PLACES if name != "nyu_dev"]
+    )
+    options.add_argument("--runtime", default="auto", help="of an exported file")
+    args = options.parse_args()
+    torch.set_num_threads(1)
+    stored = [dict(row) for row in read_table(STORED, COLUMNS)] if STORED.exists() else []
+    for given in args.sources:
+        name, _, source = given.rpartition("=")
+        predictor = predictor_of(source, args.runtime)
+        for place in args.places:
+            rows = [
+                dict(zip(COLUMNS, map(str, row), strict=True))
+                for row in score(name or source, predictor, place)
+            ]
+            new = {(row["weights"], row["runtime"], row["place"]) for row in rows}
+            stored = [
+                row for row in stored if (row["weights"], row["runtime"], row["place"]) not in new
+            ] + rows
+            write_rows(STORED, COLUMNS, [[row[column] for column in COLUMNS] for row in stored])
+            print(
+                name or source,
+                place,
+                mean([row for row in rows if row["view"] == "whole"], "delta1"),
+                flush=True,
+            )
+    report(stored)
+
+
+if __name__ == "__main__":
+    main()
