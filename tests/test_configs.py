@@ -43,10 +43,7 @@ OWN_PARTS = {"predict": "perception"}
 # Arguments that the calling code supplies, not the user.
 SUPPLIED: dict[str, set[str]] = {
     "eldenet.training.trainer.Trainer": {"optimizer", "scheduler", "seed", "loggers"},
-    "eldenet.training.optim.constant": {"optimizer", "total_steps", "steps_per_epoch"},
-    "eldenet.training.optim.cosine": {"optimizer", "total_steps", "steps_per_epoch"},
-    "eldenet.training.optim.one_cycle": {"optimizer", "total_steps", "steps_per_epoch"},
-    "eldenet.training.optim.epoch_decay": {"optimizer", "total_steps", "steps_per_epoch"},
+    "eldenet.training.optim.": {"optimizer", "total_steps", "steps_per_epoch"},
     "eldenet.data.": {"transform", "resize_depth", "seed"},  # from build_split
     "torch.optim.": {"params"},
     "eldenet.navigation.policy.": {"robots"},
