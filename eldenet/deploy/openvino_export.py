@@ -35,7 +35,7 @@ def write_openvino(source: str | Path, path: str | Path, metadata: Mapping[str, 
 def quantize_openvino(
     source: str | Path, path: str | Path, inputs: Sequence[np.ndarray], metadata: Mapping[str, str]
 ) -> Path:
-    """Turn fp32 ONNX or OpenVINO IR into int8 OpenVINO IR with nncf.
+    """Turn fp32 ONNX or OpenVINO IR into int8 OpenVINO IR with nncf; the first convolution stays fp32.
 
     Raises:
         ImportError: nncf is not installed.
@@ -49,12 +49,15 @@ def quantize_openvino(
     with quiet():
         import nncf
     network = openvino.Core().read_model(str(source))
+    convolutions = [op for op in network.get_ordered_ops() if op.get_type_name() == "Convolution"]
+    stem = [op.get_friendly_name() for op in convolutions[:1]]
     with quiet():
         quantized = nncf.quantize(
             network,
             nncf.Dataset(list(inputs)),
             preset=nncf.QuantizationPreset.MIXED,  # hard swish is not symmetric
             subset_size=len(inputs),
+            ignored_scope=nncf.IgnoredScope(names=stem) if stem else None,
         )
     return _save(quantized, Path(path), {**metadata, "precision": "int8"})
 
