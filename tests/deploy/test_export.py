@@ -114,6 +114,21 @@ def test_int8_files_run(model_folder: Path, photos: Path, tmp_path: Path, format
     assert runtimes.load(path, threads=1).precision == "int8"
 
 
+def test_the_first_convolution_of_an_int8_file_stays_fp32(
+    model_folder: Path, photos: Path, tmp_path: Path
+) -> None:
+    """Eight bits of the normalized picture cost the most accuracy."""
+    import onnx
+
+    path = run(model_folder, photos, "precision=int8", f"output='{tmp_path / 'q.onnx'}'")
+    graph = onnx.load(path).graph
+    makers = {name: node.op_type for node in graph.node for name in node.output}
+    inputs = [[makers.get(name) for name in node.input] for node in graph.node if node.op_type == "Conv"]
+    assert "DequantizeLinear" not in inputs[0]
+    assert len(inputs) > 10
+    assert all(kinds[:2] == ["DequantizeLinear"] * 2 for kinds in inputs[1:])
+
+
 def test_bf16_is_a_way_to_run_fp32_weights(model_folder: Path, photos: Path, tmp_path: Path, capsys) -> None:
     output = tmp_path / "m.xml"
     path = run(model_folder, photos, "format=openvino", "precision=bf16", f"output='{output}'", "opset=17")
