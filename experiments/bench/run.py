@@ -5,8 +5,8 @@ python experiments/bench/run.py int8=exports/indoor-int8.onnx --runtime onnxrunt
 python experiments/bench/run.py          the table and the plot of what is stored
 
 A shape or a longer lens is a part of the frame, with the focal length of the frame. Its depth is scored on
-its own pixels, beside the whole frame's depth on the same pixels. Frames are those of ``$ELDENET_DATA``; rooms
-are rendered.
+its own pixels, beside the whole frame's depth on the same pixels. Frames are those of ``$ELDENET_DATA``;
+rooms are rendered.
 """
 
 import argparse
@@ -210,39 +210,37 @@ def report(stored: Sequence[dict[str, str]]) -> None:
             lines.append([*key, *map(str, cells), *([mean(whole, "inside80")] if number == 0 else [])])
         text.append(f"## {title}\n\n{to_markdown(['place', 'weights', 'runtime', *columns], lines, [])}")
     facts = environment()
+    machine = f"{facts['hardware']['processor']}, 1 thread, torch {facts['versions']['torch']}"
     text.append(
         "Brackets: 95 % intervals over scenes. Aligned: each frame times median(truth) / median(prediction). "
-        "Inside: share of pixels whose true depth lies in the 80 % interval. Log slope: of predicted over true "
-        f"median, over frames. {facts['hardware']['processor']}, 1 thread, torch {facts['versions']['torch']}. Made by "
-        "`python experiments/bench/run.py`.\n"
+        "Inside: share of pixels whose true depth lies in the 80 % interval. Log slope: of predicted over "
+        f"true median, over frames. {machine}. "
+        "Made by `python experiments/bench/run.py`.\n"
     )
     write_text(HERE / "results.md", "\n".join(text))
     plot(groups)
 
 
 def plot(groups: dict[tuple[str, str, str], dict[str, list[dict[str, str]]]]) -> None:
-    """delta1 of every view, a line for each network, a panel for each place."""
+    """delta1 of every view under torch, a line for each network, a panel for each place."""
+    groups = {key: views for key, views in groups.items() if key[2] == "torch"}
     places = [place for place in PLACES if any(key[0] == place for key in groups)]
+    names = sorted({weights for _, weights, _ in groups})
     pyplot = pyplot_for_files()
     figure, axes = pyplot.subplots(
-        1, len(places), figsize=(3.2 * len(places), 3.4), sharey=True, squeeze=False
+        1, len(places), figsize=(2.8 * len(places), 3.6), sharey=True, squeeze=False, layout="constrained"
     )
     for axis, place in zip(axes[0], places, strict=True):
-        for (where, weights, runtime), views in groups.items():
+        for (where, weights, _), views in groups.items():
             if where == place:
                 shown = [view for view in VIEWS if view in views]
-                axis.plot(
-                    shown,
-                    [float(mean(views[view], "delta1")) for view in shown],
-                    "o-",
-                    ms=3,
-                    label=f"{weights}, {runtime}",
-                )
+                values = [float(mean(views[view], "delta1")) for view in shown]
+                axis.plot(shown, values, "o-", ms=3, color=f"C{names.index(weights)}", label=weights)
         axis.set_title(place, fontsize=9)
         axis.tick_params(axis="x", rotation=60, labelsize=8)
         axis.grid(alpha=0.3)
     axes[0, 0].set_ylabel("δ1, unaligned")
-    axes[0, 0].legend(fontsize=6)
+    axes[0, 0].legend(fontsize=7)
     save_figure(figure, HERE / "bench.png")
 
 
