@@ -5,6 +5,7 @@ a fit in inverse depth weighs relative errors, which is what depth has, and need
 """
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,9 @@ AGREES = 0.04  # relative error of depth on the floor
 BELOW = 0.10  # relative depth beyond the floor's that lies below it: there is nothing
 LEAST_SHARE, MOST_BELOW = 0.3, 0.03  # of the lower half of the picture: on the floor, below it
 LEAST_EXTENT = 1.5  # of the floor seen, ahead and across, relative to the camera's height
+LEVELED_BY, LEAST_FLOORS = 15, 3  # floors whose median counts, and the fewest
+MOST_TILT, MOST_SCALE = 0.2, 1.4  # that are corrected [rad]
+LEAST_TILT, LEAST_SCALE = 0.01, 0.03
 _PIXELS, _TRIALS, _LEAST = 600, 100, 40
 
 
@@ -73,6 +77,41 @@ def find_floor(depth: np.ndarray, camera: PinholeCamera) -> Floor | None:
     ):
         return None
     return Floor(math.atan2(ahead, down), math.atan2(across, down), height)
+
+
+class Leveler:
+    """Tilt of a camera and scale of its depth, by the floors that it sees over three seconds.
+
+    It corrects what a mount has beyond what is known, up to :data:`MOST_TILT` and :data:`MOST_SCALE`. Beyond,
+    it corrects nothing, and the driver's watch says what is wrong.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all floors; call this when the camera was moved."""
+        self._floors: deque[Floor] = deque(maxlen=LEVELED_BY)
+
+    def __call__(self, depth: np.ndarray, camera: PinholeCamera, height: float) -> tuple[float, float, float]:
+        """Pitch and roll to add [rad], and a factor for depth; (0, 0, 1) where little is wrong.
+
+        Args:
+            depth: ``(H, W)`` [m].
+            camera: in the level frame, as far as its tilt is known.
+            height: of the camera above the floor [m].
+        """
+        found = find_floor(depth, camera)
+        if found is not None:
+            self._floors.append(found)
+        if len(self._floors) < LEAST_FLOORS:
+            return 0.0, 0.0, 1.0
+        pitch, roll, seen = np.median(self._floors, axis=0).tolist()
+        factor = height / seen
+        if max(abs(pitch), abs(roll)) > MOST_TILT or not 1 / MOST_SCALE < factor < MOST_SCALE:
+            return 0.0, 0.0, 1.0
+        pitch, roll = (angle if abs(angle) > LEAST_TILT else 0.0 for angle in (pitch, roll))
+        return pitch, roll, factor if abs(factor - 1) > LEAST_SCALE else 1.0
 
 
 def _lower_half(shape: tuple[int, ...]) -> np.ndarray:

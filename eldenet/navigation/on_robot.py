@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.geometry import PinholeCamera, check_meters, intrinsic_matrix, level_rotation
+from eldenet.navigation.floor import Leveler
 from eldenet.navigation.latency import MAX_LATENCY, ahead, check_latency
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.range_filter import RangeFilter
@@ -33,6 +34,8 @@ class OnRobot:
         range_filter: that :meth:`step` passes its ranges through; None: none.
         range_scale: that :meth:`step` then corrects them with, for a camera that measures all ranges too long
             or too short; None (default): nothing.
+        leveler: that corrects an unknown tilt of the camera and a wrong scale of its depth by the floor; None
+            (default): nothing.
         watch: that stops it when something is wrong, see :mod:`eldenet.navigation.watch`; None: none.
         stop_reason: why the last :meth:`step` stopped the robot; None: it drives.
     """
@@ -45,6 +48,7 @@ class OnRobot:
         self.watch: Watch | None = Watch(self.patience)
         self.range_filter: RangeFilter | None = RangeFilter()
         self.range_scale: RangeScale | None = None
+        self.leveler: Leveler | None = None
         self.stop_reason: str | None = None
         self._origin: np.ndarray | None = None  # of step's poses (1, 3)
         self._sent: list[tuple[float, float]] = []
@@ -148,17 +152,21 @@ class OnRobot:
             reason = self.watch.arrived(goal_row[0, 0]) or self.watch.stale(stamp, latency)
         if reason is not None:
             return self._stand(reason)
-        tilt = (camera_pitch, camera_roll)
+        tilt, camera, raw = (camera_pitch, camera_roll), None, depth
+        if depth.ndim == 2 and matrix is not None:
+            camera = PinholeCamera(matrix, level_rotation(*tilt))
+        if self.leveler is not None and camera is not None:
+            pitch, roll, factor = self.leveler(depth, camera, camera_height)
+            if (pitch, roll, factor) != (0.0, 0.0, 1.0):
+                tilt, depth, camera = (camera_pitch + pitch, camera_roll + roll), depth * factor, None
+                sigma = None if sigma is None else sigma * factor
         ranges = low = as_ranges(depth, matrix, camera_height, tilt=tilt)
         if sigma is not None:
             low = as_ranges(depth, matrix, camera_height, tilt=tilt, low=nearest_depth(depth, sigma))
         unseen = np.isnan(ranges)
         ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, low)
         if self.watch is not None:
-            camera = None
-            if depth.ndim == 2 and matrix is not None:
-                camera = PinholeCamera(matrix, level_rotation(*tilt))
-            look = Look(depth, ranges, now[0], image, camera, camera_height, latency)
+            look = Look(raw, ranges, now[0], image, camera, camera_height, latency)
             if (reason := self.watch.judge(look, self._sent)) is not None:
                 return self._stand(reason)
         pose, place = now[0], goal_row[0]

@@ -27,6 +27,7 @@ import torch  # noqa: E402
 import eldenet  # noqa: E402
 from eldenet.geometry import level_rotation  # noqa: E402
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event  # noqa: E402
+from eldenet.navigation.floor import Leveler  # noqa: E402
 from eldenet.navigation.on_robot import OnRobot  # noqa: E402
 from eldenet.navigation.planners.plan_and_steer import PlanAndSteer  # noqa: E402
 from eldenet.navigation.policy import Navigator  # noqa: E402
@@ -209,8 +210,11 @@ class Eye:
         return self.artifacts.apply(depth.astype(np.float32), focal, self.dead, self.rng), None
 
 
-def drive(sensor: str, name: str, fault: str, world: int) -> Row:
-    """One drive to the goal, to a stop of the watch, a collision or the end of time."""
+def drive(sensor: str, name: str, fault: str, world: int, leveled: bool | None = None) -> Row:
+    """One drive to the goal, to a stop of the watch, a collision or the end of time.
+
+    With ``leveled`` (not None) the fault is there from the start and the watch is off.
+    """
     arena, driver = arena_of(fault, world), DRIVERS[name]()
     drift = Ranges() if sensor == "ranges" else Ranges(drift=Drift())
     limit = CLOSED_WITHIN if fault == "closed goal" else 60.0
@@ -218,18 +222,20 @@ def drive(sensor: str, name: str, fault: str, world: int) -> Row:
     episodes = Episodes(1, drift, EpisodeSettings("wheels", time_limit=limit))
     episodes.start(0, arena, (7, world))
     began = ROBOT.period * int(np.random.default_rng([7, world]).integers(15, 40))
-    began = 0.0 if fault in ("none", "closed goal", *MOUNTS) else began
+    began = 0.0 if leveled is not None or fault in ("none", "closed goal", *MOUNTS) else began
+    driver.leveler = Leveler() if leveled else None
     eye = Eye(sensor, arena, MOUNTS.get(fault, LEVEL), world)
     predictor = network() if sensor == "network" else None
     assert driver.watch is not None
     driver.watch.tolerance = 0.0  # the episode ends there
     clock = [0.0]
     driver.watch.clock = lambda: clock[0]
+    driver.watch = driver.watch if leveled is None else None
     then: Inputs | None = None
     stopped, reason, event = -1.0, "", Event.NONE
     while event is Event.NONE:
         clock[0] = float(episodes.seconds[0])
-        if stopped >= 0 or (clock[0] > began + within and fault != "none"):
+        if leveled is None and (stopped >= 0 or (clock[0] > began + within and fault != "none")):
             break
         senses = episodes.sense()
         pose = tuple(episodes.poses[0].tolist())

@@ -7,6 +7,7 @@ import pytest
 
 from eldenet.geometry import level_rotation, pinhole
 from eldenet.navigation.episodes import Episodes, EpisodeSettings, Event
+from eldenet.navigation.floor import Leveler
 from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.ranges import depth_to_ranges
@@ -242,6 +243,25 @@ def test_a_known_tilt_changes_nothing(pitch, roll):
     np.testing.assert_allclose(tilted[seen], level[seen], rtol=0.03)
     if pitch > 0.05:  # untold, the floor is a wall
         assert depth_to_ranges(depth, CAMERA).min() < 3
+
+
+@pytest.mark.parametrize(
+    "depth", [hall(pitch=0.09), hall(roll=-0.09), hall() * 0.8, hall() * 1.2, hall(0.06, 0.06) * 1.1]
+)
+def test_a_leveler_corrects_tilt_and_scale_by_the_floor(depth):
+    driver, seen = Navigator.load(), []
+    driver.leveler = Leveler()
+    steer = driver.commands
+    driver.commands = lambda senses: seen.append(senses.ranges[0]) or steer(senses)
+    for number in range(8):
+        driver.step(depth * (1 + 0.001 * number), GOAL, (0.1 * number, 0.0, 0.0), intrinsics=CAMERA)
+        assert driver.stop_reason is None
+    expected = 6.0 / np.cos(ROBOT.column_angles)
+    np.testing.assert_allclose(seen[-1][3:-3], expected[3:-3], rtol=0.05)
+    driver.leveler.reset()
+    for number in range(8):  # too much to be a mount's error
+        driver.step(depth * (2 + 0.001 * number), GOAL, (2 + 0.1 * number, 0.0, 0.0), intrinsics=CAMERA)
+    assert "floor" in driver.stop_reason
 
 
 # --- the goal -----------------------------------------------------------------------------------------------
