@@ -60,7 +60,8 @@ def optimal_length(arena: Arena) -> float:
     """Length of the shortest any-angle path through all way-points [m]; nan without path.
 
     It is the path of a disc as wide as the robot (0.50 m), which lies within its footprint: whatever the
-    robot does, its center cannot take a shorter way, up to the cells' 0.1 m.
+    robot does, its center cannot take a shorter way, except for the error of the cells of 0.1 m, which may
+    add up to some tenths of a meter on a long path.
     """
     free = clearance_map(arena.obstacles, arena.side) >= ROBOT.width / 2
     graph = _graph(free)
