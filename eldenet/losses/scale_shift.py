@@ -14,7 +14,8 @@ class ScaleShiftInvariantLoss(Loss):
     resolutions. The paper divides the sum of a gradient by the number of known pixels; here it is divided by
     the number of pairs of known neighbors, so that holes do not make the term small. MiDaS compares
     disparity (``space: inverse``). In ``space: log``, a shift is a factor on depth: with
-    ``match_scale=False`` depth may be wrong by a factor alone, as that of a metric network in front of another lens.
+    ``match_scale=False`` depth may be wrong by a factor alone, as that of a metric network in front of
+    another lens.
 
     Args:
         match_scale: divide each map by its spread.
