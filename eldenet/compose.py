@@ -27,6 +27,7 @@ from hydra.errors import HydraException  # noqa: E402
 from hydra.types import RunMode  # noqa: E402
 from omegaconf import MISSING, DictConfig, OmegaConf, SCMode, open_dict  # noqa: E402
 from omegaconf.errors import InterpolationToMissingValueError, ValidationError  # noqa: E402
+from yaml import YAMLError  # noqa: E402
 
 REQUIRED: Any = MISSING  # the default of a setting that has none
 #: Metadata of a field that some choices of a group add, such as policy=dqn ``checkpoint``; None without them.
@@ -155,6 +156,8 @@ def _load(config_name: str, overrides: Sequence[str], sources: Sequence[str] = (
         return loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
     except HydraException as error:
         raise ValueError(_wrong_type(error.__cause__, overrides) or str(error)) from error
+    except YAMLError as error:
+        raise ValueError(f"a file of settings is no YAML: {' '.join(str(error).split())}") from error
 
 
 def _wrong_type(error: BaseException | None, overrides: Sequence[str]) -> str:

@@ -126,17 +126,11 @@ def _lines(settings: type, defaults: Mapping[str, Any], prefix: str = "") -> lis
 
 
 def comment_on(settings: type, name: str) -> str:
-    """Return the comment beside a setting in one line, "" if there is none.
-
-    A setting of a section has it in a YAML file, beside its ``???``.
-    """
-    if "." in name:
-        files = (config_folder() / name.partition(".")[0]).rglob("*.yaml")
-        beside = re.compile(rf"^\s*{name.rpartition('.')[2]}: \?\?\?\s+# (.*)", re.MULTILINE)
-        found = (beside.search(file.read_text()) for file in files)
-        return next((comment[1] for comment in found if comment), "")
+    """Return the comment beside a setting in one line, "" if there is none, as in a section."""
     lines = _lines(settings, {})
-    place = next((place for place, line in enumerate(lines) if line.startswith(f"{name}: ")), 0)
+    place = next((place for place, line in enumerate(lines) if line.startswith(f"{name}: ")), None)
+    if place is None:
+        return ""
     comments = [lines[place].partition("  # ")[2]]
     while place and lines[place - 1].startswith("# "):
         place -= 1

@@ -108,6 +108,8 @@ class VideoFile:
     def __init__(self, path: Path) -> None:
         with reading(path, "video", "fetch it again, or convert it to .mp4"):
             self._container = _open(path)
+            if not self._container.streams.video:
+                raise ValueError("it holds no pictures")
             self._stream = self._container.streams.video[0]
             size = self._stream.height, self._stream.width
         self._width = round(size[1] * _pixel_aspect(self._stream))

@@ -131,7 +131,7 @@ class OnRobot:
             ("camera_height", camera_height), ("camera_pitch", camera_pitch), ("camera_roll", camera_roll),
             ("stamp", 0.0 if stamp is None else stamp), ("latency", latency), ("max_speed", max_speed),
         ):  # fmt: skip
-            if not isinstance(value, int | float | np.integer | np.floating):
+            if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
                 raise ValueError(f"{name}={value!r:.60}: give a number")
         check_latency(latency)
         if not 0 < max_speed < math.inf:

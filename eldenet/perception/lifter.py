@@ -129,6 +129,8 @@ class BoxLifter:
                 f"boxes reach column {reach[0]:.0f} and row {reach[1]:.0f}, depth is {height} x {width}: "
                 "give both for the same image"
             )
+        if reach.max() <= 1:
+            raise ValueError("no box reaches beyond the first pixel: give pixels, not shares of the picture")
         check_intrinsics(camera.intrinsics, (height, width))
         _warn_of_odd_depth(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]

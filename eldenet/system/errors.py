@@ -84,7 +84,7 @@ def line_of(error: BaseException) -> str:
     if isinstance(error, OSError) and error.errno in NAMELESS and not error.filename:
         return f"{error.strerror}: {NAMELESS[error.errno]}"
     if isinstance(error, OSError) and error.errno and error.filename:
-        advice = ": give another folder or file" if error.errno in CLOSED else ""
+        advice = ": give another folder or file" if error.errno in (*CLOSED, errno.EEXIST) else ""
         return f"{error.filename}: {error.strerror}{advice}"
     in_a_worker = _IN_A_WORKER.match(str(error))
     return in_a_worker[2].strip() if in_a_worker else str(error)

@@ -5,13 +5,14 @@ In one process: only what runs no job.
 
 import importlib
 import os
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from eldenet.cli.commands import module_of
 from eldenet.cli.help import advice, comment_on, quote_paths, wrong_option
-from eldenet.compose import compose
+from eldenet.compose import compose, compose_config
 
 
 def settings_of(command: str) -> Any:
@@ -85,7 +86,6 @@ def answer(line: str) -> str:
         ("demo port=80000", "port=80000: give a number from 0 (any free port) to 65535"),
         # what is missing
         ("predict", "give source=... on the command line"),
-        ("evaluate checkpoint=a data=kitti_eigen_raw", "give data.test_list=... on the command line"),
     ],
 )
 def test_a_mistake_gets_a_line_that_helps(line: str, said: str) -> None:
@@ -108,9 +108,19 @@ def test_an_option_that_is_a_setting_is_named_without_its_dashes(option: str, li
     assert wrong_option("train", f"unrecognized arguments: {option} 3").startswith(line.partition(" (")[0])
 
 
+def test_a_file_of_settings_that_is_no_yaml_is_named(tmp_path: Path) -> None:
+    (tmp_path / "experiment").mkdir()
+    (tmp_path / "experiment/mine.yaml").write_text("a: [1\n")
+    assert advice("train", ["--config-dir", str(tmp_path), "+experiment=mine"]) == ""  # Hydra names the file
+    with pytest.raises(ValueError, match=r"no YAML: .*experiment/mine.yaml.*line 1") as error:
+        compose_config("train", ["+experiment=mine"], [f"file://{tmp_path}"])
+    assert "\n" not in str(error.value)
+
+
 def test_a_missing_setting_is_described_as_in_the_help() -> None:
     assert comment_on(settings_of("predict"), "source").startswith("a picture, a folder of pictures")
-    assert comment_on(settings_of("train"), "data.test_list").startswith("your list of the test frames")
+    assert comment_on(settings_of("train"), "weights").startswith("run, model folder, Hub id or")
+    assert comment_on(settings_of("train"), "data.root") == ""
 
 
 def test_the_home_folder_is_written_out_where_no_shell_does_it() -> None:

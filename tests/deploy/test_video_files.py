@@ -48,6 +48,12 @@ def test_the_error_for_other_files_lists_what_is_accepted(model_folder: Path, tm
     assert not (tmp_path / "out").exists()
 
 
+def test_a_file_without_pictures_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.mov").write_text(";FFMETADATA1\ntitle=walk\n")
+    with pytest.raises(ValueError, match=r"a.mov .*it holds no pictures"):
+        VideoFile(tmp_path / "a.mov")
+
+
 def test_a_camera_has_any_name_of_its_device(tmp_path: Path) -> None:
     """Such as ``/dev/v4l/by-id/usb-...``, which stays the same when a second camera is plugged in."""
     (tmp_path / "front camera").symlink_to("/dev/null")

@@ -66,7 +66,7 @@ def test_what_is_no_numbers_is_refused_in_one_line(name, wrong):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("wrong", ["fast", [1.0], None, {}])
+@pytest.mark.parametrize("wrong", ["fast", [1.0], None, {}, True])
 @pytest.mark.parametrize("name", ["camera_height", "camera_pitch", "camera_roll", "latency", "max_speed"])
 def test_a_setting_that_is_no_number_is_refused(name, wrong):
     with pytest.raises(ValueError, match=f"^{name}=.*: give a number"):

@@ -271,6 +271,12 @@ def test_depth_and_boxes_of_different_images_are_refused(shape, message):
         BoxLifter()(np.ones(shape), detection(xyxy), CAMERA)
 
 
+def test_boxes_as_shares_of_the_picture_are_refused():
+    depth, xyxy = block((-2.0, 0.85, 12.0))
+    with pytest.raises(ValueError, match="give pixels, not shares of the picture"):
+        BoxLifter()(depth, detection(xyxy / np.tile(depth.shape[::-1], 2)), CAMERA)
+
+
 def test_depth_in_millimeters_warns():
     depth, xyxy = block((-2.0, 0.85, 12.0))
     with pytest.warns(UserWarning, match="millimeters"):

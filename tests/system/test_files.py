@@ -52,6 +52,9 @@ def test_a_full_disk_is_one_line(number: int, reason: str, tmp_path: Path) -> No
     ):
         raise OSError(number, os.strerror(number))
     assert not list(tmp_path.iterdir())
+    assert line_of(FileExistsError(errno.EEXIST, "File exists", "a.jpg")).endswith(
+        "give another folder or file"
+    )
     assert line_of(OSError(errno.ENOSPC, "", "b.pt")).startswith("no space left on b.pt: free some space")
 
 
