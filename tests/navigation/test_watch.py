@@ -277,17 +277,18 @@ def test_it_stops_at_the_goal_and_drives_to_the_next(make):
     assert driver.step(FREE, (0.45, 0.0), POSE)[0] > 0
 
 
-def test_a_planner_gives_up_a_goal_that_is_closed_in():
-    x, y = 4.0, 0.0
-    walls = tuple(
-        Obstacle("box", x + 0.8 * a, y + 0.8 * b, 0.0, (0.06, 0.86) if a else (0.86, 0.06), 2.0)
-        for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))
-    )
-    driver = PlanAndSteer()
-    assert isinstance(
-        Drive(driver, Arena("", 4, 0, walls, (0.0, 0.0, 0.0), ((x, y),), 10.0), 120.0).run(), float
-    )
-    assert "unreachable goal" in driver.stop_reason
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_planner_gives_up_a_goal_that_its_map_closes_in(closed):
+    driver, reasons = PlanAndSteer(), set()
+    for number in range(40):
+        pose = (0.01 * number, 0.0, 0.0)
+        driver.step(FREE + 0.001 * number, (4.0 + pose[0], math.pi), pose)  # behind it, where no ray passes
+        reasons.add(driver.stop_reason)
+        angles = np.linspace(0, math.tau if closed else 5.0, 200)
+        ring = np.stack([np.cos(angles) - 4.0, np.sin(angles)], axis=1)
+        driver._maps[0].evidence[driver._maps[0].cells(ring)] = 8
+    unreachable = "no way to the goal is left on the map of what was seen: an unreachable goal"
+    assert reasons == ({None, unreachable} if closed else {None})
 
 
 def test_a_driver_alone_gives_up_where_it_comes_no_nearer():
