@@ -10,7 +10,8 @@ import numpy as np
 from eldenet.data.array_files import check_pixels
 from eldenet.data.base import DepthDataset, FileDataset, SampleOptions
 from eldenet.data.io import decode_depth
-from eldenet.data.nyu import NYU_RANGE, labeled_part, nyu_intrinsics
+from eldenet.data.nyu import NYU_RANGE, nyu_intrinsics
+from eldenet.data.nyu_scenes import labeled_part
 from eldenet.data.paths import find_root
 from eldenet.data.splits import hold_out
 from eldenet.system.checks import one_of
@@ -80,7 +81,7 @@ class NYUMat(DepthDataset):
     Args:
         root: the folder with the files; None for ``$ELDENET_DATA/nyu_depth_v2/labeled``.
         split: "train" and "val", our parts of the 795 official training frames, which share no scene
-            (:data:`eldenet.data.nyu.VAL_FRAMES`), "trainval" for the 795, "test" for the 654, or "all", which
+            (``VAL_FRAMES`` in ``nyu_scenes.py``), "trainval" for the 795, "test" for the 654, or "all", which
             needs no ``splits.mat``.
         ground_truth: "inpainted" for ``depths``, "raw" for ``rawDepths`` with its holes.
         file: name of the .mat.

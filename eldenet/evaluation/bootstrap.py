@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from eldenet.data.nyu import labeled_scene
+from eldenet.data.nyu_scenes import labeled_scene
 from eldenet.data.splits import scene_of
 
 LIMITS = ((1 - 0.95) / 2, (1 + 0.95) / 2)  # quantiles at the ends of the interval

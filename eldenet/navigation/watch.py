@@ -17,7 +17,7 @@ from eldenet.navigation.range_filter import seen_from
 from eldenet.simulation.robot import ROBOT
 
 GOAL_TOLERANCE = 0.5  # as in training [m]
-FARTHEST = 1e5  # greatest distance of a goal, and of a pose from the origin [m]
+FARTHEST = 1e8  # greatest distance of a goal, and of a pose from the origin [m]: a GPS receiver's are 1e7
 TOO_NEAR = 0.05  # no camera measures less: then it is another unit [m]
 NEARLY_ALL = 0.95  # share of the known values
 STALE = 0.4  # age that data may have beyond the latency [s]

@@ -24,7 +24,7 @@ import eldenet  # noqa: E402
 from eldenet.compose import compose  # noqa: E402
 from eldenet.data.base import DepthDataset  # noqa: E402
 from eldenet.data.loaders import collate  # noqa: E402
-from eldenet.data.nyu import VAL_FRAMES  # noqa: E402
+from eldenet.data.nyu_scenes import VAL_FRAMES  # noqa: E402
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.evaluation.calibration import fit_temperature  # noqa: E402
 from eldenet.evaluation.metric_names import UNCERTAINTY_METRICS  # noqa: E402

@@ -135,7 +135,7 @@ def test_a_shell_completes_commands_settings_and_paths(shell, tmp_path):
         "eldenet train data=nyu_l": ["train", "data=nyu_labelled"],
         "eldenet train optimizer=adam_": ["train", "optimizer=adam_paper"],
         "eldenet train +experiment=kitti_p": ["train", "+experiment=kitti_paper"],
-        "eldenet check-data data=folder data.ro": ["check-data", "data=folder", "data.root="],
+        "eldenet check-data data=folder data.roo": ["check-data", "data=folder", "data.root="],
         "eldenet check-data data.root=m": ["check-data", "data.root=my frames"],
         "eldenet check-data data.root=my\\ frames/l": ["check-data", "data.root=my frames/left"],
         "eldenet check-data data.root=./m": ["check-data", "data.root=./my frames"],

@@ -9,15 +9,13 @@ import pytest
 from support.layouts import SMALL, densedepth, hdf5, labeled, mat, mat_split, sync
 
 from eldenet.data.nyu import (
-    DEV_FRAMES,
-    VAL_FRAMES,
     NYUDenseDepth,
     NYULabelled,
     NYUSync,
-    labeled_part,
     nyu_intrinsics,
 )
 from eldenet.data.nyu_hdf5 import NYUHDF5, NYUMat
+from eldenet.data.nyu_scenes import DEV_FRAMES, VAL_FRAMES, labeled_part
 
 RGB, METERS, MILLIMETERS, EIGHT = SMALL
 SIZE = METERS.shape

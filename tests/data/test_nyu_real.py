@@ -9,12 +9,11 @@ import pytest
 from support.layouts import real_folder
 
 from eldenet.data.nyu import (
-    VAL_FRAMES,
     NYULabelled,
     NYUSync,
-    labeled_part,
 )
 from eldenet.data.nyu_hdf5 import NYUMat
+from eldenet.data.nyu_scenes import VAL_FRAMES, labeled_part
 
 
 @pytest.fixture

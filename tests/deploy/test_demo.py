@@ -8,6 +8,8 @@ import socket
 import struct
 import threading
 import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import cv2
@@ -242,16 +244,25 @@ def test_nothing_leaves_the_machine_and_threads_are_allowed(page, address, tmp_p
     assert refused == "refused"  # by the page's own policy, before anything is sent
 
 
-def test_the_page_of_the_documentation_gives_what_python_gives(browser, address, page_folder, predictor):
+class OwnPage(PageHandler):
+    """Serves every file with the headers of the demo, which has no own.html."""
+
+    send_head = SimpleHTTPRequestHandler.send_head
+
+
+def test_the_page_of_the_documentation_gives_what_python_gives(browser, page_folder, predictor):
     text = (Path(__file__).parents[2] / "docs" / "demo.md").read_text()
     (page_folder / "own.html").write_text(text.partition("```html\n")[2].partition("```")[0])
     frame = cv2.imread(str(page_folder / "example.jpg"))[..., ::-1]
     depth = predictor(np.ascontiguousarray(frame), focal=440)
-    with browser.new_context() as context:
+    server = ThreadingHTTPServer(("localhost", 0), partial(OwnPage, directory=str(page_folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    with server, browser.new_context() as context:
         page = context.new_page()
-        page.goto(f"{address}own.html")
+        page.goto(f"http://localhost:{server.server_port}/own.html")
         page.wait_for_selector("text=/^\\d+\\.\\d+ m$/", timeout=60_000)
         found = float(page.inner_text("#answer").removesuffix(" m"))
+        server.shutdown()
     assert found == pytest.approx(depth[depth.shape[0] // 2, depth.shape[1] // 2], abs=TOLERANCE)
 
 

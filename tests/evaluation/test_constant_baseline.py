@@ -16,6 +16,7 @@ from eldenet.data import rendered, rendering
 from eldenet.data.folder import FolderDataset
 from eldenet.data.rooms import Rooms
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
+from eldenet.geometry import pinhole
 from eldenet.simulation.furnished_rooms import render as render_module
 from eldenet.simulation.furnished_rooms.render import Views
 from eldenet.train import TrainSettings
@@ -102,7 +103,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
     def flat_scene(split: str, scene: int, size: tuple[int, int], views: int) -> Views:
         depth = np.full((views, *size), 2 + scene / 1000, np.float32)
         image, eye = np.zeros((views, *size, 3), np.uint8), np.tile(np.eye(3), (views, 1, 1))
-        return Views(image, depth, eye, eye[:, 0], eye)
+        camera = np.tile(pinhole(20, 20, 9.5, 7.5), (views, 1, 1))
+        return Views(image, depth, camera, eye[:, 0], eye)
 
     def render(
         folder: Path, generator: Any, split: str, scenes: Sequence[int], size: Any, workers: int

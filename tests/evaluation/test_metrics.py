@@ -178,7 +178,7 @@ def test_a_prediction_that_is_not_finite_is_an_error(value: float, clamp: bool) 
     [
         ({"average": "batch"}, "average='batch', choose one of"),
         ({"ground_truth": "dens"}, "ground_truth='dens'"),
-        ({"min_depth": 0.0}, "0 < min_depth < max_depth"),
+        ({"min_depth": 0.0}, "0 < min < max"),
         ({"crop": (0, 5, 0, 5)}, "needs size"),
         ({"crop": (0, 5, 0, 25), "size": (20, 20)}, "within size"),
         ({"crop": (5, 5, 0, 5), "size": (20, 20)}, "within size"),

@@ -13,7 +13,7 @@ from eldenet.system.extras import EXTRAS, require
 
 REPOSITORY = Path(__file__).parents[2]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-INSTALLED_AS = {"rerun": "rerun-sdk"}
+INSTALLED_AS = {"rerun": "rerun-sdk", "pillow_heif": "pillow-heif"}
 PHOTO = f"source={REPOSITORY / 'web/example.jpg'}"
 
 #: Command line -> what its error says: what needs which packages of which extra.
