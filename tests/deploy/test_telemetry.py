@@ -12,6 +12,8 @@ import pytest
 if not all(map(find_spec, ("openvino", "nncf"))) or not list(distributions(name="openvino-telemetry")):
     pytest.skip("needs openvino, nncf and openvino-telemetry", allow_module_level=True)
 
+pytestmark = pytest.mark.alone  # of the libraries that other tests load into a worker
+
 # what would be sent is counted instead, in a process without pytest, where nncf is silent anyway
 COUNTING = """
 import sys
