@@ -23,7 +23,6 @@ BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once a network has normaliz
 FILM_DIAGONAL = 43.27  # of 35 mm film [mm]
 ANY_LENS = "ELDENET_ANY_LENS"  # environment variable: 1 lets any lens through
 DEGREES, ALL_DEGREES = (4.0, 150.0), (0.01, 179.9)  # horizontal fields of view, and with ANY_LENS
-LEAST_FOCAL = 0.5 / math.tan(math.radians(DEGREES[1]) / 2)  # in widths of the picture
 MAX_SKEW, MAX_STRETCH = 0.01, 2.0  # relative to fx; fx / fy or fy / fx
 MOST_SENSOR = 55.0  # side of an image sensor [mm]
 CENTRAL = (0.3, 0.7)  # where principal points lie, in widths and heights of the picture

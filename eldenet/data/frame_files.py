@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ def find_frame_files(root: Path, place: str, endings: Sequence[str]) -> dict[Key
     Raises:
         ValueError: two files have one key, or a line of a list is wrong.
     """
-    if place.endswith(".txt") and "*" not in place:
+    if is_list(place):
         return _listed(root, place)
     fixed = place.split("*")[0].rpartition("/")[0] if "*" in place else place
     as_file, as_folder = _expressions(place.removeprefix("./").strip("/"))
@@ -198,8 +198,3 @@ def other_ways(ones: Sequence[Key], others: Sequence[Key], tolerance: float) -> 
         except ValueError:
             continue
     return {by: count for by, count in found.items() if count}
-
-
-def scenes_of(names: Mapping[str, Key]) -> dict[str, str]:
-    """Return the scene of every frame that has one."""
-    return {name: "/".join(key[:-1]) for name, key in names.items() if len(key) > 1}
