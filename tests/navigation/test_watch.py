@@ -110,6 +110,16 @@ PILLARS = tuple(
 COURSE = Arena("", 3, 0, PILLARS, (-5.0, 0.0, 0.0), ((6.0, 0.0),))
 
 
+def frozen(name, kept):
+    """A fault: from 1.9 s on this input stays as it was; ``kept`` gets it."""
+
+    def freeze(given, time):
+        kept.setdefault(name, given[name].copy()) if time > 1.9 else None
+        return given | kept
+
+    return freeze
+
+
 @DRIVERS
 def test_a_sound_drive_ends_at_the_goal(make):
     assert Drive(make(), COURSE, 60.0).run() is Event.GOAL
@@ -117,13 +127,8 @@ def test_a_sound_drive_ends_at_the_goal(make):
 
 @DRIVERS
 def test_a_frozen_camera_stops_it_within_half_a_second(make):
-    kept, driver = {}, make()
-
-    def freeze(given, time):
-        kept.setdefault("depth", given["depth"].copy()) if time > 1.9 else None
-        return given | kept
-
-    assert Drive(driver, COURSE).run(freeze) <= 2.5
+    driver = make()
+    assert Drive(driver, COURSE).run(frozen("depth", {})) <= 2.5
     assert driver.stop_reason == "the picture does not change while the wheels turn: a frozen camera"
     assert driver.step(FREE, GOAL, POSE)[0] > 0  # a new picture
 
@@ -146,12 +151,7 @@ def test_a_robot_that_stands_may_see_the_same_again(make):
 @DRIVERS
 def test_odometry_that_stands_stops_a_robot_that_is_told_to_drive(make):
     kept, driver = {}, make()
-
-    def freeze(given, time):
-        kept.setdefault("odometry", given["odometry"].copy()) if time > 1.9 else None
-        return given | kept
-
-    assert Drive(driver, COURSE).run(freeze) <= 3.2
+    assert Drive(driver, COURSE).run(frozen("odometry", kept)) <= 3.2
     assert "odometry stands" in driver.stop_reason
     assert driver.step(FREE, GOAL, tuple(kept["odometry"])) == (0.0, 0.0)
     driver.reset()
