@@ -11,7 +11,7 @@ rooms are rendered.
 
 import argparse
 import math
-import os
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -23,31 +23,28 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.compose import compose  # noqa: E402
-from eldenet.data.io import read_depth, read_image  # noqa: E402
 from eldenet.deploy import runtimes  # noqa: E402
 from eldenet.deploy.predictor import DepthPredictor  # noqa: E402
 from eldenet.evaluation.bootstrap import bootstrap_interval, scenes_of  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
-from eldenet.evaluation.splits import chosen_protocol, open_split  # noqa: E402
-from eldenet.geometry import crop_intrinsics, pinhole  # noqa: E402
+from eldenet.geometry import crop_intrinsics  # noqa: E402
 from eldenet.results.plots import pyplot_for_files, save_figure  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.results.tables import to_markdown  # noqa: E402
 from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
-from eldenet.train import TrainSettings  # noqa: E402
-from eldenet.types import Frame  # noqa: E402
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from places import OTHER_CAMERAS, camera_frames, split_frames  # noqa: E402
 
 HERE = Path(__file__).parent
 STORED = HERE / "frames.csv.gz"
-#: Place -> settings of its frames, or the intrinsics of its pictures [px] below ``other_cameras``.
-PLACES = {
-    "nyu": ["data=nyu_labelled"],
-    "nyu_dev": ["data=nyu_labelled", "data.val.split=dev"],
-    "rooms": ["data=rooms", "data.size=[192,256]", "data.frames.test=64", "data.detail=true"],
-    "hololens_office": (440.5, 440.4, 239.6, 150.4),
-    "tum_fr3_cabinet": (401.6, 404.4, 240.1, 185.7),
+#: Place -> settings of its frames and their split; the others are places of other cameras.
+SPLITS = {
+    "nyu": (["data=nyu_labelled"], "val"),
+    "nyu_dev": (["data=nyu_labelled", "data.val.split=dev"], "val"),
+    "rooms": (["data=rooms", "data.size=[192,256]", "data.frames.test=64", "data.detail=true"], "test"),
 }
+PLACES = (*SPLITS, *OTHER_CAMERAS)
 SHAPES = {"16:9": 16 / 9, "2:1": 2.0, "3:4": 3 / 4, "9:16": 9 / 16}  # width / height
 ZOOMS = {"1.25x": 1.25, "1.5x": 1.5, "2x": 2.0}
 VIEWS = ("whole", *SHAPES, *ZOOMS)
@@ -65,30 +62,6 @@ FIGURES = (
 )
 COLUMNS = ("weights", "runtime", "place", "frame", "view", *FIGURES)
 ENOUGH = 50  # pixels of a distance
-
-
-def frames_of(place: str) -> tuple[EvalProtocol, list[Frame]]:
-    """The protocol and the frames of a place."""
-    given = PLACES[place]
-    settings = given if isinstance(given, list) else ["data=folder", "data.root=."]
-    config = compose(TrainSettings, settings)
-    protocol = chosen_protocol(config.data, config.protocol)
-    if isinstance(given, list):
-        split = open_split(config.data, "test" if place == "rooms" else "val", protocol)
-        return protocol, [split.load_frame(index) for index in range(len(split))]
-    root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
-    pairs = [
-        row for row in read_table(root / "pairs.csv", ("rgb", "depth_mm")) if row["rgb"].startswith(place)
-    ]
-    return protocol, [
-        Frame(
-            read_image(root / row["rgb"]),
-            read_depth(root / row["depth_mm"], "mm"),
-            pinhole(*given),
-            row["rgb"],
-        )
-        for row in pairs
-    ]
 
 
 def part_of(size: tuple[int, int], view: str) -> tuple[slice, slice]:
@@ -136,7 +109,7 @@ def figures(
 
 def score(name: str, predictor: DepthPredictor, place: str) -> Iterator[list[object]]:
     """Rows of a network's views of a place; one that knows no focal lengths is given none."""
-    protocol, frames = frames_of(place)
+    protocol, frames = split_frames(*SPLITS[place]) if place in SPLITS else camera_frames(place)
     runtime = getattr(predictor.model, "runtime", "torch")
     for image, depth, intrinsics, frame, *_ in frames:
         truth, mask = (torch.from_numpy(values)[None, None] for values in (depth, depth > 0))
@@ -199,7 +172,7 @@ def report(stored: Sequence[dict[str, str]]) -> None:
     }
     for number, (title, columns) in enumerate(heads.items()):
         lines = []
-        for key, views in sorted(groups.items(), key=lambda item: (list(PLACES).index(item[0][0]), item[0])):
+        for key, views in sorted(groups.items(), key=lambda item: (PLACES.index(item[0][0]), item[0])):
             whole = views["whole"]
             cells = [
                 [len(whole), *(mean(whole, name) for name in FIGURES[:3]), f"{log_slope(whole):.2f}"],

@@ -7,7 +7,7 @@ frame cut to the same pixels, so both are scored on the same pixels. Frames are 
 """
 
 import argparse
-import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -21,27 +21,21 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.compose import compose  # noqa: E402
-from eldenet.data.io import read_depth, read_image  # noqa: E402
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
-from eldenet.evaluation.splits import chosen_protocol, open_split  # noqa: E402
-from eldenet.geometry import crop_intrinsics, pinhole  # noqa: E402
+from eldenet.geometry import crop_intrinsics  # noqa: E402
 from eldenet.results.plots import pyplot_for_files, save_figure  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.system.files import read_table, write_rows  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
-from eldenet.train import TrainSettings  # noqa: E402
 from eldenet.types import Frame  # noqa: E402
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from places import OTHER_CAMERAS, camera_frames, split_frames  # noqa: E402
 
 HERE = Path(__file__).parent
 FACTORS = (1.0, 1.25, 1.5, 2.0)
 CAMERAS = ("given", "not given")
-#: Place -> intrinsics of its pictures [px].
-OTHER_CAMERAS = {
-    "hololens_office": (440.5, 440.4, 239.6, 150.4),
-    "tum_fr3_cabinet": (401.6, 404.4, 240.1, 185.7),
-}
 PLACES = ("nyu", *OTHER_CAMERAS)
 
 
@@ -63,28 +57,9 @@ class Row(NamedTuple):
 
 def frames_of(place: str, count: int | None, part: str = "val") -> tuple[EvalProtocol, list[Frame]]:
     """Return the rules of a place and up to ``count`` of its frames, spread over all."""
-    given = (
-        ["data=nyu_labelled", f"data.val.split={part}"] if place == "nyu" else ["data=folder", "data.root=."]
-    )
-    config = compose(TrainSettings, given)
-    protocol = chosen_protocol(config.data, config.protocol)
-    if place == "nyu":
-        split = open_split(config.data, "val", protocol)
-        frames = [split.load_frame(index) for index in spread(len(split), count)]
-        return protocol, frames
-    root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
-    table = read_table(root / "pairs.csv", ("rgb", "depth_mm"))
-    pairs = [row for row in table if row["rgb"].startswith(place)]
-    frames = []
-    for index in spread(len(pairs), count):
-        image, depth = root / pairs[index]["rgb"], root / pairs[index]["depth_mm"]
-        camera = pinhole(*OTHER_CAMERAS[place])
-        frames.append(Frame(read_image(image), read_depth(depth, "mm"), camera, image.stem))
-    return protocol, frames
-
-
-def spread(total: int, count: int | None) -> range:
-    return range(0, total, 1 if count is None else -(-total // count))
+    nyu = ["data=nyu_labelled", f"data.val.split={part}"]
+    protocol, frames = camera_frames(place) if place in OTHER_CAMERAS else split_frames(nyu)
+    return protocol, frames[:: 1 if count is None else -(-len(frames) // count)]
 
 
 def center(size: tuple[int, int], factor: float) -> tuple[slice, slice]:
