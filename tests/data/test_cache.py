@@ -17,6 +17,7 @@ from eldenet.data import cache as cache_module
 from eldenet.data.base import DepthDataset
 from eldenet.data.cityscapes import CityscapesMTAN
 from eldenet.data.folder import FolderDataset
+from eldenet.data.frame_store import HEADER
 from eldenet.data.io import ENCODINGS
 from eldenet.data.kitti import KITTIRaw
 from eldenet.data.nyu import NYULabelled
@@ -165,3 +166,40 @@ def test_an_adapter_without_files_is_told_so() -> None:
 def test_an_unknown_cache_is_refused(wrong) -> None:
     with pytest.raises(ValueError, match=f"cache={wrong!r}: give one of none, disk"):
         SyntheticDepth(3, cache=wrong)
+
+
+# --- damage and full disks ----------------------------------------------------------------------------------
+
+
+def test_a_damaged_slot_is_read_again(tmp_path: Path, store_folder: Path) -> None:
+    root = layouts.labeled(tmp_path)
+    assert len(reads_of(NYULabelled(root, cache="disk"))) == 2
+    (file,) = store_folder.rglob("frames.bin")
+    content = bytearray(file.read_bytes())
+    content[HEADER + 1234] ^= 1
+    file.write_bytes(content)
+    assert reads_of(NYULabelled(root, cache="disk")) == [0]
+    assert reads_of(NYULabelled(root, cache="disk")) == []
+    file.write_bytes(content[:5000])  # cut
+    assert len(reads_of(NYULabelled(root, cache="disk"))) == 2
+
+
+def test_a_full_disk_is_said_once_and_the_work_goes_on(tmp_path: Path, caplog) -> None:
+    plain, cached = (NYULabelled(layouts.labeled(tmp_path), cache=kind) for kind in ("none", "disk"))
+    cached.open_cache()
+    store = cached._cache
+    full = os.open("/dev/full", os.O_RDWR)  # says "no space left on device" to every write
+    os.dup2(full, store.handle)
+    os.close(full)
+    for _ in range(2):
+        assert all(same(cached[index], plain[index]) for index in range(len(plain)))
+    assert caplog.text.count("No space left on device") == 1
+    assert "ELDENET_CACHE" in caplog.text
+
+
+def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch, caplog) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("ELDENET_CACHE", str(tmp_path / "file"))
+    plain, cached = (NYULabelled(layouts.labeled(tmp_path), cache=kind) for kind in ("none", "disk"))
+    assert all(same(cached[0], plain[0]) for _ in range(2))
+    assert caplog.text.count("no frame cache in") == 1

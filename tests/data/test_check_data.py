@@ -192,19 +192,3 @@ def test_an_implausible_depth_names_the_encodings_that_would_be_plausible(tmp_pa
     assert "read as encoding=tum, which few cameras see; it would be " in shown
     assert "m as mm, 3.9" in shown
     assert "no file is wrong, but the depth is implausible: check data.encoding" in shown
-
-
-def test_a_folder_of_webp_is_read_and_a_cut_one_is_named(tmp_path):
-    root = layouts.folder(tmp_path / "data")
-    for file in list((root / "images").iterdir()):
-        pixels = cv2.imread(str(file))
-        file.unlink()
-        cv2.imwrite(str(file.with_suffix(".webp")), pixels, [cv2.IMWRITE_WEBP_QUALITY, 101])
-    cut = root / "images/f003.webp"
-    good, report = run(tmp_path / "out", "data=folder", f"data.root={root}")
-    assert (good, report["splits"][0]["frames"]) == (True, 9)
-    np.testing.assert_allclose(report["splits"][0]["mean"], layouts.SMALL.rgb.mean((0, 1)) / 255, atol=1e-3)
-    cut.write_bytes(cut.read_bytes()[:-30])
-    good, report = run(tmp_path / "out", "data=folder", f"data.root={root}")
-    assert not good
-    assert "f003" in str(report["faults"])

@@ -69,7 +69,7 @@ def test_damage_is_named_or_counted(
         capfd.readouterr()
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
-            damage(path, RNG(0))
+            damage(path)
             fault = check(stop, skip, layout.split, target, names, whole)
         said = "".join(capfd.readouterr())
         if path.suffix == ".exr":  # OpenEXR prints as well; the error is there all the same

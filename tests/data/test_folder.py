@@ -231,3 +231,13 @@ def test_pictures_of_other_formats_are_counted_and_named(tmp_path: Path, caplog)
     (line,) = [record.getMessage() for record in caplog.records]
     assert "are passed over" in line
     assert "(2 .dng, 1 .avif; such as a.dng)" in line
+
+
+@pytest.mark.parametrize("file", ["../other/f000.png", "depths/../../x.png", "/etc/x.png"])
+def test_lists_stay_in_the_data_sets_folder_unless_allowed(file: str, tmp_path: Path) -> None:
+    root = tree(tmp_path / "data")
+    (root / "list.csv").write_text(f"images/f000.png,{file}\n")
+    with pytest.raises(ValueError, match=r"list\.csv: .* is outside .*allow_outside=true"):
+        FolderDataset(root, csv="list.csv", max_depth=10.0)
+    with pytest.raises(FileNotFoundError, match="files are missing"):
+        FolderDataset(root, csv="list.csv", max_depth=10.0, allow_outside=True)

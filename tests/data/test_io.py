@@ -9,9 +9,8 @@ from PIL import Image
 from support.layouts import real_folder
 from support.predicting import turned_by_exif
 
+from eldenet.data.array_files import PIXEL_VARIABLE
 from eldenet.data.io import (
-    ENCODINGS,
-    DepthEncoding,
     decode_depth,
     depth_encoding,
     read_depth,
@@ -38,19 +37,19 @@ def cut(path: Path, fraction: float) -> Path:
     return target
 
 
-@pytest.mark.parametrize("ending", [".png", ".bmp", ".ppm", ".tif", ".jpg"])
+@pytest.mark.parametrize("ending", [".png", ".bmp", ".ppm", ".tif", ".jpg", ".webp"])
 def test_images_are_rgb(tmp_path: Path, ending: str) -> None:
     smooth = np.zeros((32, 48, 3), np.uint8)
     smooth[..., 0], smooth[:, 32:, 2] = 200, 90  # whole JPEG blocks
     read = read_image(write(tmp_path / f"a{ending}", smooth))
     assert read.dtype == np.uint8
     assert read.shape == (32, 48, 3)
-    assert np.abs(read.astype(int) - smooth).max() <= (25 if ending == ".jpg" else 0)
+    assert np.abs(read.astype(int) - smooth).max() <= (25 if ending in (".jpg", ".webp") else 0)
 
 
-@pytest.mark.parametrize("fraction", [0.3, 0.9, 0.99])
-@pytest.mark.parametrize("ending", [".png", ".bmp", ".ppm", ".tif", ".jpg", "_progressive.jpg"])
-def test_cut_image_is_named(tmp_path: Path, ending: str, fraction: float) -> None:
+@pytest.mark.parametrize("fraction", [0.3, 0.99])
+@pytest.mark.parametrize("ending", [".png", ".bmp", ".ppm", ".tif", ".webp", ".jpg", "_progressive.jpg"])
+def test_a_cut_picture_is_named(tmp_path: Path, ending: str, fraction: float) -> None:
     progressive = (cv2.IMWRITE_JPEG_PROGRESSIVE, 1) if "progressive" in ending else ()
     whole = write(tmp_path / f"picture{ending}", RGB, *progressive)
     assert read_image(whole).shape == RGB.shape
@@ -58,62 +57,11 @@ def test_cut_image_is_named(tmp_path: Path, ending: str, fraction: float) -> Non
         read_image(cut(whole, fraction))
 
 
-@pytest.mark.parametrize("fraction", [0.3, 0.9, 0.99])
-@pytest.mark.parametrize("ending", [".png", ".pgm", ".tif", ".npy"])
-def test_cut_depth_is_named(tmp_path: Path, ending: str, fraction: float) -> None:
-    path = tmp_path / f"depth{ending}"
-    if ending == ".npy":
-        np.save(path, MILLIMETERS)
-    else:
-        write(path, MILLIMETERS)
-    np.testing.assert_array_equal(
-        read_depth(path, "mm"), (MILLIMETERS.astype(np.float64) / 1e3).astype(np.float32)
-    )
-    with pytest.raises(ValueError, match=f"cut_depth{ending}.*truncated"):
-        read_depth(cut(path, fraction), "mm")
-
-
 def test_jpeg_with_trailing_bytes_is_whole(tmp_path: Path) -> None:
     path = write(tmp_path / "a.jpg", RGB)
     plain = read_image(path)
     path.write_bytes(path.read_bytes() + b"\0" * 100 + b"camera")
     np.testing.assert_array_equal(read_image(path), plain)
-
-
-def test_jpeg_cut_after_its_thumbnail_is_refused(tmp_path: Path) -> None:
-    """The end marker of a thumbnail inside a segment is not the picture's."""
-    path = write(tmp_path / "a.jpg", RGB)
-    content = path.read_bytes()
-    thumbnail = cv2.imencode(".jpg", RGB[:8, :8])[1].tobytes()
-    segment = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
-    path.write_bytes(content[:2] + segment + content[2 : len(content) // 2])
-    with pytest.raises(ValueError, match="Premature end"):
-        read_image(path)
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"<html>not found</html>", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"P6 4"]
-)
-def test_files_that_are_no_pictures_are_named(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "page.jpg"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"page\.jpg"):
-        read_image(path)
-
-
-def test_a_header_of_spaces_is_refused_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "spaces.pgm"
-    for content in (
-        b"P5" + b" " * 40,
-        b"P5" + b" \n" * 50_000,
-        b"P5 " + b"9" * 5000,
-        b"P5\n" + b"#\n" * 50_000,
-    ):
-        path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"spaces\.pgm is truncated or damaged \(incomplete header\)"):
-            read_image(path)
-    path.write_bytes(b"P5\n# a camera\n4 # columns\n3\n255\n" + b"x" * 12)
-    assert read_image(path).shape == (3, 4, 3)
 
 
 def test_exif_does_not_turn_a_data_set(tmp_path: Path) -> None:
@@ -146,13 +94,6 @@ def test_encodings_give_meters(name: str, raw: np.ndarray, meters: list[float]) 
     np.testing.assert_allclose(depth[0], meters, rtol=1e-5)
 
 
-def test_every_named_encoding_is_tested_or_refuses_another_type() -> None:
-    for name, row in ENCODINGS.items():
-        wrong = np.full((2, 2), 3, np.int64)
-        with pytest.raises(ValueError, match=f"int64.*{name}.*{row.dtype}"):
-            decode_depth(wrong, name, "test")
-
-
 def test_an_encoding_can_be_given_as_numbers() -> None:
     raw = np.array([[0, 10]], np.uint8)
     np.testing.assert_allclose(
@@ -160,11 +101,6 @@ def test_an_encoding_can_be_given_as_numbers() -> None:
     )
     far = np.full((2, 2), 300.0, np.float32)
     np.testing.assert_allclose(decode_depth(far, {"scale": 1.0, "dtype": "float"}, "x"), far)
-
-
-def test_an_encoding_may_bring_its_own_function() -> None:
-    turned = DepthEncoding("turned", decode=lambda v: ((v >> 3) | (v << 13)).astype(np.float64) / 1e3)
-    np.testing.assert_allclose(decode_depth(np.array([[8000, 0]], np.uint16), turned, "x"), [[1.0, 0.0]])
 
 
 @pytest.mark.parametrize("bad", ["millimeters", {"dtype": "uint8"}, {"scale": 0}, {"scale": 1, "unit": "m"}])
@@ -219,9 +155,6 @@ def pfm(path: Path, order: str = "<f4", kind: str = "Pf", values: np.ndarray = M
 def test_pfm_reads_both_byte_orders(tmp_path: Path, order: str) -> None:
     path = pfm(tmp_path / "a.pfm", order)
     np.testing.assert_array_equal(read_depth(path, "meters"), np.where(np.isfinite(METERS), METERS, 0))
-    for fraction in (0.001, 0.3, 0.99):
-        with pytest.raises(ValueError, match=r"cut_a\.pfm is (not a PFM file, or )?truncated"):
-            read_depth(cut(path, fraction), "meters")
     with pytest.raises(ValueError, match=r"c\.pfm has shape.*one channel"):
         read_depth(pfm(tmp_path / "c.pfm", kind="PF", values=np.dstack([METERS] * 3)), "meters")
     if order == "<f4":  # OpenCV writes the same
@@ -245,9 +178,6 @@ def test_exr_reads_one_channel_or_equal_ones(tmp_path: Path, half: bool) -> None
     np.testing.assert_array_equal(read_depth(gray, "meters"), meters.astype(np.float32))
     with pytest.raises(ValueError, match=r"color\.exr has the channels"):
         read_depth(written("color.exr", {"R": meters, "G": meters, "B": meters * 2}), "meters")
-    for fraction in (0.0, 0.01, 0.3, 0.9, 0.99):
-        with pytest.raises(ValueError, match=r"cut_a\.exr is truncated"):
-            read_depth(cut(path, fraction), "meters")
 
 
 def test_float_tiff_is_read(tmp_path: Path) -> None:
@@ -260,25 +190,6 @@ def test_a_real_npy_equals_a_straight_reading() -> None:
     np.testing.assert_array_equal(read_depth(path, "meters"), np.load(path).squeeze())
 
 
-TURNS = {  # EXIF's numbers: what makes a picture of this orientation upright
-    1: lambda a: a, 2: lambda a: a[:, ::-1], 3: lambda a: a[::-1, ::-1], 4: lambda a: a[::-1],
-    5: lambda a: a.swapaxes(0, 1), 6: lambda a: np.rot90(a, -1), 7: lambda a: np.rot90(a, 2).swapaxes(0, 1),
-    8: np.rot90,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("orientation", TURNS)
-def test_tiff_files_are_read_as_stored_and_turned_only_where_asked(tmp_path: Path, orientation: int) -> None:
-    for values in (RGB, MILLIMETERS, MILLIMETERS.astype(np.float32) / 1000):
-        path = tmp_path / f"{values.dtype}.tif"
-        Image.fromarray(values).save(path, tiffinfo={0x112: orientation})
-        if values is RGB:
-            np.testing.assert_array_equal(read_image(path), RGB)
-            np.testing.assert_array_equal(read_image(path, upright=True), TURNS[orientation](RGB))
-        else:
-            np.testing.assert_array_equal(read_raw_depth(path), values)
-
-
 @pytest.mark.parametrize("peak", [1, 15, 100, 254, 255])
 def test_a_ppm_of_any_peak_has_the_full_range(tmp_path: Path, peak: int) -> None:
     numbers = RNG.integers(0, peak + 1, (4, 5, 3), dtype=np.uint8)
@@ -286,19 +197,6 @@ def test_a_ppm_of_any_peak_has_the_full_range(tmp_path: Path, peak: int) -> None
     np.testing.assert_array_equal(read_image(tmp_path / "a.ppm"), np.floor(numbers * 255.0 / peak + 0.5))
     (tmp_path / "d.pgm").write_bytes(b"P5\n5 4\n%d\n" % peak + numbers[..., 0].tobytes())
     np.testing.assert_array_equal(read_raw_depth(tmp_path / "d.pgm"), numbers[..., 0])  # these are no colors
-
-
-def test_a_ppm_with_numbers_above_its_peak_is_damaged(tmp_path: Path) -> None:
-    (tmp_path / "a.ppm").write_bytes(b"P6\n1 1\n15\n" + bytes((3, 16, 3)))
-    with pytest.raises(ValueError, match=r"a\.ppm is truncated or damaged \(numbers above its peak of 15"):
-        read_image(tmp_path / "a.ppm")
-
-
-def test_a_video_behind_a_photo_does_not_count(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.jpg", cv2.resize(RGB, (4000, 3000)))
-    alone = read_image(path)
-    path.write_bytes(path.read_bytes() + RNG.bytes(10_000) + b"\xff\xda" * 5000)
-    np.testing.assert_array_equal(read_image(path), alone)
 
 
 @pytest.mark.parametrize(
@@ -322,3 +220,24 @@ def test_the_preview_in_a_raw_photo_is_not_taken_for_the_photo(tmp_path: Path, t
     Image.fromarray(RGB).save(tmp_path / "a.tif", tiffinfo=tags)
     with pytest.raises(ValueError, match="raw photo"):
         read_image(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("ending", [".png", ".bmp", ".ppm", ".tif", ".jpg", ".npy", ".pfm", ".exr"])
+def test_pixels_are_counted_before_they_are_read(ending: str, tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / f"a{ending}"
+    if ending == ".npy":
+        np.save(path, np.ones((37, 53), np.float32))
+    elif ending == ".pfm":
+        path.write_bytes(b"Pf\n53 37\n-1\n" + np.ones((37, 53), "<f4").tobytes())
+    elif ending == ".exr":
+        OpenEXR = pytest.importorskip("OpenEXR")
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": np.ones((37, 53), np.float32)}).write(str(path))
+    else:
+        write(path, RGB)
+    read = read_image if ending in (".png", ".bmp", ".ppm", ".tif", ".jpg") else read_depth
+    more = () if read is read_image else ("meters",)
+    monkeypatch.setenv(PIXEL_VARIABLE, str(37 * 53))
+    assert read(path, *more).shape[:2] == (37, 53)
+    monkeypatch.setenv(PIXEL_VARIABLE, str(37 * 53 - 1))
+    with pytest.raises(ValueError, match=rf"a\{ending} has .*37 x 53.*{PIXEL_VARIABLE}"):
+        read(path, *more)

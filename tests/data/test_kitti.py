@@ -24,7 +24,7 @@ from support.layouts import (
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
 from eldenet.data.kitti import KITTIDepth, KITTIRaw, KITTISelection
-from eldenet.data.kitti_calibration import object_camera, read_scan, rectified_intrinsics, velodyne_to_image
+from eldenet.data.kitti_calibration import rectified_intrinsics, velodyne_to_image
 from eldenet.data.kitti_files import frame_list
 from eldenet.geometry import back_project
 from eldenet.train import TrainSettings
@@ -259,26 +259,6 @@ def test_projection_equals_point_by_point(tmp_path: Path, projection: str) -> No
         assert frame.intrinsics is not None
         points = back_project(frame.depth, frame.intrinsics)[frame.depth > 0]
         assert np.isfinite(points).all()
-
-
-@pytest.mark.parametrize("columns", [3, 5, 6])
-def test_a_scan_of_other_columns_is_refused(tmp_path: Path, columns: int) -> None:
-    points = np.random.default_rng(0).uniform((5, -9, -2, 0), (60, 9, 1, 1), (120, 4))
-    rows = np.column_stack([points, np.tile([7.0, 31.0], (120, 1))])[:, :columns].astype(np.float32)
-    rows.tofile(tmp_path / "scan.bin")
-    with pytest.raises(ValueError, match=rf"scan\.bin: the fourth .* reflectance is 0 to 1.*\b{columns}\b"):
-        read_scan(tmp_path / "scan.bin")
-    points.astype(np.float32).tofile(tmp_path / "scan.bin")
-    np.testing.assert_array_equal(read_scan(tmp_path / "scan.bin"), points.astype(np.float32))
-
-
-@pytest.mark.parametrize("numbers", ["0 " * 12, "1 0 0 0 0 1 0 0 0 0 2 0", "700 0 0 0 0 700 0 0 600 180 1 0"])
-def test_a_projection_of_no_camera_names_the_file(tmp_path: Path, numbers: str) -> None:
-    for folder in ("image_2", "calib"):
-        (tmp_path / folder).mkdir()
-    (tmp_path / "calib/000001.txt").write_text(f"P2: {numbers}\n")
-    with pytest.raises(ValueError, match=r"000001\.txt: P2 has no focal length .*: fetch it again"):
-        object_camera(tmp_path / "image_2/000001.png")
 
 
 @pytest.mark.parametrize(

@@ -138,13 +138,6 @@ def test_damaged_frames_are_rendered_again(dataset: Rooms, cache: Path, damage: 
     np.testing.assert_array_equal(again.load_frame(12).image, render_room("train", 1, SIZE).image[4])
 
 
-def test_a_frame_damaged_while_it_is_used_is_named(cache: Path) -> None:
-    data = Rooms("train", 8, size=SIZE, root=cache / "used", workers=0)
-    os.pwrite(data.store.frames.handle, b"\0" * 500, 3 * data.store.frames.slot + 1000)
-    with pytest.raises(ValueError, match=r"rooms/train/000000/3 is damaged"):
-        data.load_frame(3)
-
-
 def test_frames_that_may_only_be_read_are_read(dataset: Rooms, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = os.open
 
@@ -191,11 +184,6 @@ def test_a_failing_render_process_is_an_error(tmp_path: Path) -> None:
 def test_arguments_out_of_range_are_refused(bad: dict, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="give"):
         Rooms(root=tmp_path, **bad)
-
-
-def test_the_environment_names_the_cache_folder(dataset: Rooms, cache: Path, monkeypatch) -> None:
-    monkeypatch.setenv("ELDENET_CACHE", str(cache))
-    assert Rooms("train", 3, size=SIZE).folder == dataset.folder
 
 
 def test_every_version_and_size_has_a_folder_of_its_own() -> None:

@@ -8,31 +8,23 @@ from typing import NamedTuple
 import numpy as np
 
 from support import layouts
-from support.damaged_containers import H5, MAT, SPLITS_MAT, cut_split, in_frame
 from support.damages import (
     ANY,
-    CAM_TO_CAM,
-    CAMERA,
-    COLOR_JPG,
-    COLOR_PNG,
-    DEPTH_NPY,
-    DEPTH_PNG,
-    INTRINSICS,
-    LIST,
-    MTAN_DEPTH,
-    MTAN_IMAGE,
-    PFM,
-    SCAN,
-    TEXT,
-    VELO_TO_CAM,
+    COLOR,
+    DEPTH,
     Damage,
+    array,
+    cut,
     exr,
+    folder_instead,
     gray,
     halved,
+    keys,
     pfm,
     text,
     turned,
-    without_gone,
+    web_page,
+    without,
 )
 
 
@@ -70,6 +62,23 @@ DATE = "raw/2011_09_26"
 SELECTED = f"{VAL_DRIVE}/image_02/0000000008"
 SELECTION = "val_selection_cropped"
 CITY = "train/aachen/aachen_000000_000019"
+LIST = (web_page, text(lambda t: t.replace(",", ";")), text(lambda t: t + "a,b,c\n"))
+CALIBRATION = (
+    web_page,
+    folder_instead,
+    text(lambda t: t.replace("P_rect", "P").replace("R:", "S:")),
+    text(lambda t: t.replace("7", "x")),
+)
+INTRINSICS = (web_page, text(lambda t: t.replace("721", "-721")), text(lambda t: t.replace("149.854", "nan")))
+CAMERA = (
+    web_page,
+    cut,
+    keys(lambda c: c["extrinsic"].pop("baseline")),
+    keys(lambda c: c["intrinsic"].update(fx=-1)),
+    keys(lambda c: c["extrinsic"].update(baseline=float("inf"))),
+)
+MTAN_IMAGE = (*ANY, array(lambda a: a * 255), array(lambda a: a[..., 0]))
+MTAN_DEPTH = (*ANY, array(lambda a: a * np.nan), array(lambda a: a * 80))
 ALL = ("data.root={root}", "data.train.split=all")
 TRAINVAL = ("data.root={root}", "data.train.split=trainval")
 
@@ -114,8 +123,8 @@ LAYOUTS = {
         layouts.densedepth,
         TRAINVAL,
         (
-            Target("data/nyu2_train/office_0002_out/1.jpg", COLOR_JPG, "office_0002_out/1"),
-            Target("data/nyu2_train/office_0002_out/1.png", DEPTH_PNG, "office_0002_out/1"),
+            Target("data/nyu2_train/office_0002_out/1.jpg", COLOR, "office_0002_out/1"),
+            Target("data/nyu2_train/office_0002_out/1.png", DEPTH, "office_0002_out/1"),
             Target("data/nyu2_train.csv", LIST, None, "nyu2_train|office_0002|data set/dat"),
         ),
     ),
@@ -124,8 +133,8 @@ LAYOUTS = {
         layouts.labeled,
         ALL,
         (
-            Target("data/nyu2_train/labeled_out/0022.jpg", COLOR_JPG, "labeled_out/0022"),
-            Target("data/nyu2_train/labeled_out/0022.png", DEPTH_PNG, "labeled_out/0022"),
+            Target("data/nyu2_train/labeled_out/0022.jpg", COLOR, "labeled_out/0022"),
+            Target("data/nyu2_train/labeled_out/0022.png", DEPTH, "labeled_out/0022"),
         ),
     ),
     "sync": Layout(
@@ -133,34 +142,29 @@ LAYOUTS = {
         layouts.sync,
         ALL,
         (
-            Target("office_0002/rgb_00041.jpg", COLOR_JPG, "office_0002/rgb_00041"),
-            Target("office_0002/sync_depth_00041.png", DEPTH_PNG, "office_0002/rgb_00041"),
+            Target("office_0002/rgb_00041.jpg", COLOR, "office_0002/rgb_00041"),
+            Target("office_0002/sync_depth_00041.png", DEPTH, "office_0002/rgb_00041"),
         ),
     ),
     "sync_list": Layout(
         "nyu_sync",
         sync_list,
         (*ALL, "+data.train.list_file={root}/list.txt"),
-        (Target("list.txt", (*TEXT, text(lambda t: t.replace("518", "x"))), None, "list.txt|/html"),),
+        (Target("list.txt", (web_page, text(lambda t: t.replace("518", "x"))), None, "list.txt|/html"),),
     ),
     "hdf5": Layout(
         "nyu_hdf5",
         layouts.hdf5,
         TRAINVAL,
-        (Target("train/office_0002/00001.h5", without_gone(H5), "train/office_0002/00001"),),
+        (Target("train/office_0002/00001.h5", ANY, "train/office_0002/00001"),),
     ),
     "mat": Layout(
         "nyu_mat",
         layouts.mat,
         (*TRAINVAL, "data.ground_truth=inpainted"),
         (
-            Target("nyu_depth_v2_labeled.mat", MAT, None),
-            Target("splits.mat", (*SPLITS_MAT, cut_split, cut_split), None),
-            Target(
-                "nyu_depth_v2_labeled.mat",
-                [in_frame(3, change) for change in (np.negative, lambda a: a * np.nan, lambda a: a * 1000)],
-                "0003",
-            ),
+            Target("nyu_depth_v2_labeled.mat", ANY, None),
+            Target("splits.mat", ANY, None),
         ),
     ),
     "folder": Layout(
@@ -169,8 +173,8 @@ LAYOUTS = {
         ALL,
         (
             # phones keep depth at a fraction of the picture's size, so half of it is no damage
-            Target("images/f001.png", [d for d in COLOR_PNG if d not in (gray, halved)], "f001"),
-            Target("depths/f001.png", [d for d in DEPTH_PNG if d is not halved], "f001"),
+            Target("images/f001.png", without(COLOR, gray, halved), "f001"),
+            Target("depths/f001.png", without(DEPTH, halved), "f001"),
         ),
     ),
     "folder_csv": Layout(
@@ -179,8 +183,10 @@ LAYOUTS = {
         (*ALL, "data.csv=pairs.csv"),
         (Target("pairs.csv", LIST, None, "pairs.csv|f002|depths"),),
     ),
-    "folder_npy": folder_of(".npy", DEPTH_NPY),
-    "folder_pfm": folder_of(".pfm", PFM),
+    "folder_npy": folder_of(
+        ".npy", (*ANY, array(lambda a: a * np.nan), array(lambda a: a.astype("u2")), array(str))
+    ),
+    "folder_pfm": folder_of(".pfm", ANY),
     "folder_exr": folder_of(".exr", ANY),
     "folder_tiff": folder_of(".tiff", (*ANY, turned)),
     "kitti": Layout(
@@ -188,9 +194,9 @@ LAYOUTS = {
         layouts.kitti_depth,
         ("data.root={root}/depth", "data.train.split=trainval"),
         (
-            Target(KITTI_DEPTH, without_gone(DEPTH_PNG), KITTI_FRAME.format(5)),
-            Target(KITTI_PICTURE.format(5), without_gone(COLOR_PNG), KITTI_FRAME.format(5)),
-            Target(f"{DATE}/calib_cam_to_cam.txt", CAM_TO_CAM, None),
+            Target(KITTI_DEPTH, DEPTH, KITTI_FRAME.format(5)),
+            Target(KITTI_PICTURE.format(5), COLOR, KITTI_FRAME.format(5)),
+            Target(f"{DATE}/calib_cam_to_cam.txt", CALIBRATION, None),
         ),
     ),
     "kitti_list": Layout(
@@ -200,7 +206,7 @@ LAYOUTS = {
         (
             Target(
                 "frames.txt",
-                (*TEXT, text(lambda t: t + t), text(lambda t: t.replace("image_02", "image_99"))),
+                (web_page, text(lambda t: t + t), text(lambda t: t.replace("image_02", "image_99"))),
                 None,
             ),
         ),
@@ -210,14 +216,14 @@ LAYOUTS = {
         lambda root: layouts.kitti_raw(root / "raw"),
         ("data.root={root}/raw", "data.train.split=all"),
         (
-            Target(f"{DATE}/{DRIVE}/velodyne_points/data/0000000069.bin", SCAN, KITTI_FRAME.format(69)),
+            Target(f"{DATE}/{DRIVE}/velodyne_points/data/0000000069.bin", ANY, KITTI_FRAME.format(69)),
             Target(
                 KITTI_PICTURE.format(69),
-                [d for d in COLOR_PNG if d not in (turned, halved)],
+                without(COLOR, turned, halved),
                 KITTI_FRAME.format(69),
             ),
-            Target(f"{DATE}/calib_velo_to_cam.txt", VELO_TO_CAM, None),
-            Target(f"{DATE}/calib_cam_to_cam.txt", CAM_TO_CAM, None),
+            Target(f"{DATE}/calib_velo_to_cam.txt", CALIBRATION, None),
+            Target(f"{DATE}/calib_cam_to_cam.txt", CALIBRATION, None),
         ),
     ),
     "kitti_selection": Layout(
@@ -228,7 +234,7 @@ LAYOUTS = {
             Target(f"{SELECTION}/intrinsics/{VAL_DRIVE}_image_0000000008_image_02.txt", INTRINSICS, SELECTED),
             Target(
                 f"{SELECTION}/groundtruth_depth/{VAL_DRIVE}_groundtruth_depth_0000000008_image_02.png",
-                DEPTH_PNG,
+                DEPTH,
                 SELECTED,
                 "0000000008",
             ),
@@ -240,8 +246,8 @@ LAYOUTS = {
         layouts.cityscapes,
         TRAINVAL,
         (
-            Target(f"leftImg8bit/{CITY}_leftImg8bit.png", COLOR_PNG, CITY),
-            Target(f"disparity/{CITY}_disparity.png", DEPTH_PNG, CITY),
+            Target(f"leftImg8bit/{CITY}_leftImg8bit.png", COLOR, CITY),
+            Target(f"disparity/{CITY}_disparity.png", DEPTH, CITY),
             Target(f"camera/{CITY}_camera.json", CAMERA, CITY),
         ),
     ),
