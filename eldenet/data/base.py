@@ -11,13 +11,21 @@ from torch.utils.data import Dataset
 
 from eldenet.data.cache import FrameCache, open_cache
 from eldenet.data.paths import check_files, missing_files
-from eldenet.geometry import check_intrinsics, resize_image, resize_intrinsics, resize_sparse
+from eldenet.geometry import (
+    check_intrinsics,
+    crop_intrinsics,
+    resize_image,
+    resize_intrinsics,
+    resize_sparse,
+    size_of_aspect,
+)
 from eldenet.system.checks import check_size, one_of
 from eldenet.system.digests import digest_of
 from eldenet.types import DepthSample, Frame
 
 Transform = Callable[[Frame, np.random.Generator], Frame]
-SampleKey = int | tuple[int, int]
+SampleKey = int | tuple[int, int] | tuple[int, int, float]
+Size = tuple[int, int]
 SPARSE = ("sparse", "improved")
 """Kinds of ground truth that consist of single points: a resize moves each one and never mixes two."""
 
@@ -40,7 +48,9 @@ class DepthDataset(Dataset[DepthSample]):
     """A list of frames with depth. An adapter passes ``names`` and implements :meth:`load_frame`.
 
     An index is ``i`` or ``(epoch, i)``: the augmentation of a sample is drawn from ``(seed, epoch, i)``
-    alone, so neither the number of workers nor a resumed run changes it.
+    alone, so neither the number of workers nor a resumed run changes it. ``(epoch, i, aspect)`` shows a part
+    of the frame whose width is ``aspect`` times its height, as large as the frame allows, at the size that
+    :func:`~eldenet.geometry.size_of_aspect` gives it.
 
     Args:
         names: the frames of this split, in a fixed order.
@@ -71,7 +81,7 @@ class DepthDataset(Dataset[DepthSample]):
     ground_truth = "raw"
     depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
-    make_sample: Callable[[Any, Frame, np.random.Generator], DepthSample] | None = None
+    make_sample: Callable[[Any, Frame, np.random.Generator, Size | None], DepthSample] | None = None
     class_names: tuple[str, ...] = ()  # of the semantic labels, by number; empty if none are read
 
     def __init__(
@@ -197,23 +207,27 @@ class DepthDataset(Dataset[DepthSample]):
         return len(self.names)
 
     def __getitem__(self, key: SampleKey) -> DepthSample:
-        epoch, index = key if isinstance(key, tuple) else (0, key)
+        epoch, index, *aspect = key if isinstance(key, tuple) else (0, key)
         self.open_cache()
         if self._cache is None:
             frame = self.read_ready(index)
         else:
             frame = self._cache.frame(index, self.names[index], self.frame_files, self.read_ready)
-        generator = np.random.default_rng((self.seed, epoch, index))
+        generator, size = np.random.default_rng((self.seed, epoch, index)), self.input_size
+        if aspect and size is not None:
+            frame, size = cut_to_aspect(frame, aspect[0], generator), size_of_aspect(size, (1.0, aspect[0]))
         if self.make_sample is not None:
-            return self.make_sample(self, frame, generator)
+            return self.make_sample(self, frame, generator, size)
         if self.transform is not None:
             frame = self.transform(frame, generator)
-        if self.input_size is not None:
-            frame = self.resized(frame, self.input_size)
+        if size is not None:
+            frame = self.resized(frame, size)
         return to_sample(frame, self.min_depth, self.max_depth)
 
-    def with_samples(self, make_sample: Callable[[Any, Frame, np.random.Generator], DepthSample]) -> Self:
-        """Return the same data set; ``make_sample(dataset, frame, generator)`` makes its samples."""
+    def with_samples(
+        self, make_sample: Callable[[Any, Frame, np.random.Generator, Size | None], DepthSample]
+    ) -> Self:
+        """Return the same data set; ``make_sample(dataset, frame, generator, size)`` makes its samples."""
         other = copy(self)
         other.make_sample = make_sample
         return other
@@ -321,6 +335,18 @@ def resize_frame(
         else:
             depth = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     return Frame(image, depth, intrinsics, name, labels)
+
+
+def cut_to_aspect(frame: Frame, aspect: float, generator: np.random.Generator) -> Frame:
+    """Cut the largest part of width / height ``aspect`` out of a frame, anywhere in it."""
+    image, depth, intrinsics, name, labels = frame
+    height, width = depth.shape
+    rows, cols = min(height, round(width / aspect)), min(width, round(height * aspect))
+    top, left = (int(generator.integers(side + 1)) for side in (height - rows, width - cols))
+    window = slice(top, top + rows), slice(left, left + cols)
+    if intrinsics is not None:
+        intrinsics = crop_intrinsics(intrinsics, top, left)
+    return Frame(image[window], depth[window], intrinsics, name, None if labels is None else labels[window])
 
 
 def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from eldenet.data.base import Compose, DepthDataset
+from eldenet.data.base import Compose, DepthDataset, Size
 from eldenet.data.transforms import IDENTITY, Augmentation, Change
 from eldenet.geometry import BORDER_COLOR
 from eldenet.types import DepthSample, Frame
@@ -27,8 +27,10 @@ UNCHANGED = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 STAGES = 6  # brightness and contrast; four of the jitter; hue, saturation and value
 
 
-def raw_sample(dataset: DepthDataset, frame: Frame, generator: np.random.Generator) -> DepthSample:
-    """Return a frame of ``dataset``, as read, as a sample that :func:`augment` makes whole.
+def raw_sample(
+    dataset: DepthDataset, frame: Frame, generator: np.random.Generator, size: Size | None
+) -> DepthSample:
+    """Return a frame of ``dataset``, as read, as a sample of ``size`` that :func:`augment` makes whole.
 
     All of the data set's transforms are done here, but for the :class:`~eldenet.data.transforms.Augmentation`
     at their end, which only draws.
@@ -42,8 +44,8 @@ def raw_sample(dataset: DepthDataset, frame: Frame, generator: np.random.Generat
         Change(intrinsics=frame.intrinsics) if augmentation is None else augmentation.draw(frame, generator)
     )
     frame_size, frame = frame.depth.shape, frame._replace(intrinsics=change.intrinsics)
-    if dataset.input_size is not None:
-        frame = dataset.resized(frame, dataset.input_size)
+    if size is not None:
+        frame = dataset.resized(frame, size)
     intrinsics = np.zeros((3, 3)) if frame.intrinsics is None else frame.intrinsics
     plan = {
         "matrix": sampling_matrix(change.matrix, frame_size, frame.depth.shape),

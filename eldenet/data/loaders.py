@@ -1,6 +1,6 @@
 """Data loaders whose order depends on (seed, epoch) alone: resumable at any batch, for several processes."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.utils._pytree import tree_map_only
 from torch.utils.data import DataLoader, Sampler, default_collate
 
-from eldenet.data.base import DepthDataset
+from eldenet.data.base import DepthDataset, SampleKey
 from eldenet.data.device_augmentation import augment, leave_out_idle, raw_sample
 from eldenet.data.workers import worker_options
 from eldenet.system.resources import available_memory
@@ -18,7 +18,7 @@ from eldenet.types import DepthSample
 FEW_BATCHES = 4  # up to here an epoch shows all frames, in a smaller last batch too
 
 
-class EpochSampler(Sampler[list[tuple[int, int]]]):
+class EpochSampler(Sampler[list[SampleKey]]):
     """Batches of ``(epoch, index)``: a seeded shuffle per epoch, dealt out to processes batch by batch.
 
     Args:
@@ -27,6 +27,7 @@ class EpochSampler(Sampler[list[tuple[int, int]]]):
         seed: of the shuffle.
         rank: of this process.
         processes: how many train together.
+        aspect_ratios: width / height of batches; each draws one, and its keys are ``(epoch, index, aspect)``.
 
     Attributes:
         epoch: of the next pass.
@@ -35,8 +36,18 @@ class EpochSampler(Sampler[list[tuple[int, int]]]):
         smallest_batch: frames in a process's smallest batch.
     """
 
-    def __init__(self, length: int, batch_size: int, *, seed: int, rank: int = 0, processes: int = 1) -> None:
+    def __init__(
+        self,
+        length: int,
+        batch_size: int,
+        *,
+        seed: int,
+        rank: int = 0,
+        processes: int = 1,
+        aspect_ratios: Sequence[float] = (),
+    ) -> None:
         self.length, self.batch_size, self.seed = length, batch_size, seed
+        self.aspect_ratios = aspect_ratios
         self.rank, self.processes = rank, processes
         self.epoch, self.start = 0, 0
         # drop a smaller last batch, whose step would be noisier, unless an epoch has few batches
@@ -49,13 +60,17 @@ class EpochSampler(Sampler[list[tuple[int, int]]]):
     def __len__(self) -> int:
         return self.batches - self.start
 
-    def __iter__(self) -> Iterator[list[tuple[int, int]]]:
+    def __iter__(self) -> Iterator[list[SampleKey]]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
         order = torch.randperm(self.length, generator=generator).tolist()
+        aspects: list[tuple[float, ...]] = [()] * self.batches
+        if ratios := self.aspect_ratios:
+            chosen = torch.randint(len(ratios), (self.batches,), generator=generator)
+            aspects = [(ratios[which],) for which in chosen.tolist()]
         for batch in range(self.start, self.batches):
             first = (batch * self.processes + self.rank) * self.batch_size
             indices = order[first : first + self.batch_size] or order[: self.batch_size]
-            yield [(self.epoch, index) for index in indices]
+            yield [(self.epoch, index, *aspects[batch]) for index in indices]
 
 
 def collate(samples: list[DepthSample]) -> dict[str, object]:

@@ -8,7 +8,7 @@ from typing import Any, Self, Unpack
 import numpy as np
 import torch
 
-from eldenet.data.base import DepthDataset, SampleKey, SampleOptions
+from eldenet.data.base import DepthDataset, SampleKey, SampleOptions, Size
 from eldenet.system.digests import digest_of
 from eldenet.types import DepthSample, Frame
 
@@ -76,12 +76,13 @@ class Mix(DepthDataset):
         return self.frames
 
     def __getitem__(self, key: SampleKey) -> DepthSample:
-        epoch, index = key if isinstance(key, tuple) else (0, key)
+        epoch, index, *aspect = key if isinstance(key, tuple) else (0, key)
         generator = np.random.default_rng((self.seed, epoch, index))
         source = list(self.sources.values())[generator.choice(len(self._shares), p=self._shares)]
         place = int(generator.integers(len(source.frames)))
         # one draw, one augmentation: a frame that an epoch draws twice is augmented in two ways
-        sample = source.frames[epoch * self.frames + index, place]
+        draw = epoch * self.frames + index, place
+        sample = source.frames[(*draw, aspect[0]) if aspect else draw]
         sample["relative"] = torch.tensor(source.relative)
         return sample
 
@@ -111,7 +112,9 @@ class Mix(DepthDataset):
         part = list(self.sources.values())[which].frames
         return part, index - int(self._ends[which]) + len(part)
 
-    def with_samples(self, make_sample: Callable[[Any, Frame, np.random.Generator], DepthSample]) -> Self:
+    def with_samples(
+        self, make_sample: Callable[[Any, Frame, np.random.Generator, Size | None], DepthSample]
+    ) -> Self:
         """Return the same mix with other samples of its sources."""
         other = super().with_samples(make_sample)
         other.sources = {

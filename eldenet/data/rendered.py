@@ -37,6 +37,7 @@ class RenderedScenes(DepthDataset):
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: that of the data set.
         detail: frames of ``detailed``: closer to real pictures.
+        near: of rooms: frames of what is close, half of the pixels within 0.3 to 1.2 m.
         depth_camera: depth as a stereo depth camera measures it, with holes at edges, a dead column and noise
             (:class:`~eldenet.simulation.depth_camera.StereoArtifacts`); the same in every epoch.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
@@ -71,6 +72,7 @@ class RenderedScenes(DepthDataset):
         workers: int | None = None,
         focal: Sequence[float] | None = None,
         detail: bool = False,
+        near: bool = False,
         depth_camera: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
@@ -79,7 +81,10 @@ class RenderedScenes(DepthDataset):
             self.artifacts = import_module("eldenet.simulation.depth_camera").StereoArtifacts()
         if focal is not None and not self.any_lens:
             raise ValueError(f"focal={list(focal)}: the camera of {self.generator.name} has one lens")
-        self.generator = (self.detailed if detail else self.generator).with_focal(focal)
+        if near and self.generator.name != "rooms":
+            raise ValueError(f"near=true: {self.generator.name} has no such frames; rooms has")
+        chosen = self.detailed if detail else self.generator
+        self.generator = chosen.with_focal(focal)._replace(near=near)
         size = self.default_size if size is None else size
         one_of("split", split, SPLITS)
         if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:

@@ -41,6 +41,7 @@ class Generator(NamedTuple):
         focal: range of focal lengths [widths] that is given to the renderer; None: the renderer's own.
         depth_step: stored depth is a multiple of this [m].
         detail: passed on to the renderer where it is true.
+        near: the same.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Generator(NamedTuple):
     focal: tuple[float, float] | None = None
     depth_step: float = DEPTH_STEP
     detail: bool = False
+    near: bool = False
 
     @property
     def farthest(self) -> int:
@@ -70,7 +72,7 @@ class Generator(NamedTuple):
 
     def folder_name(self, size: tuple[int, int]) -> str:
         """Name of the folder that holds the frames of ``(height, width)`` [px]."""
-        name = f"{self.name}-detail" if self.detail else self.name
+        name = self.name + "-detail" * self.detail + "-near" * self.near
         if self.focal is not None:
             low, high = self.focal
             return f"{name}-v{self.version}-{size[0]}x{size[1]}-focal-{low:g}-{high:g}"
@@ -116,8 +118,7 @@ class SceneStore:
     def _render(self, generator: Generator, scene: int) -> None:
         module, _, function = generator.renderer.rpartition(".")
         options: dict[str, object] = {} if generator.focal is None else {"focal": generator.focal}
-        if generator.detail:
-            options["detail"] = True
+        options |= {name: True for name in ("detail", "near") if getattr(generator, name)}
         views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS, **options)
         step = generator.depth_step
         meters = encode_depth(views.depth, step).astype(np.float32) * np.float32(step)

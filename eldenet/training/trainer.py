@@ -42,6 +42,7 @@ SIGNATURE = (
     "ema_decay",
     "freeze",
     "sync_batchnorm",
+    "aspect_ratios",
 )  # a checkpoint's
 IMPLEMENTATION = ("foreach", "fused", "capturable")  # of an optimizer: how it computes, not what
 #: Column of history.csv -> its name in the line of an epoch; all but the loss are of the validation frames.
@@ -73,6 +74,8 @@ class Trainer:
         patience: validations without a better ``monitor`` after which the training ends; None: it has all
             epochs.
         batch_size: images per process and batch.
+        aspect_ratios: width / height of batches: each draws one and shows such parts of its frames; empty:
+            whole frames at the data's ``input_size``.
         accumulate_grad_batches: batches per update.
         max_grad_norm: gradients are clipped to this norm; None: not clipped.
         backbone_lr_factor: learning rate of the backbone, relative to the optimizer's.
@@ -107,6 +110,7 @@ class Trainer:
         epochs: int,
         patience: int | None = None,
         batch_size: int = 32,
+        aspect_ratios: Sequence[float] = (),
         accumulate_grad_batches: int = 1,
         max_grad_norm: float | None = None,
         backbone_lr_factor: float = 1.0,
@@ -150,7 +154,10 @@ class Trainer:
                 "trainer.cuda_graph=true replays an update as one piece: it needs accumulate_grad_batches=1 "
                 "and profile=false"
             )
+        if not all(0.2 <= ratio <= 5 for ratio in aspect_ratios):
+            raise ValueError(f"aspect_ratios={list(aspect_ratios)}: give width / height, 0.2 to 5")
         self.make_optimizer, self.make_scheduler = optimizer, scheduler
+        self.aspect_ratios = list(aspect_ratios)
         self.patience, self.freeze = patience, list(freeze)
         self.deterministic, self.compile = deterministic, compile
         self.cuda_graph, self.profile = cuda_graph, profile
@@ -367,6 +374,11 @@ class Trainer:
         self.rank, self.processes = self.accelerator.process_index, self.accelerator.num_processes
         self.train_set, self.val_set, self.protocol = data
         self.folder = folder
+        if self.aspect_ratios and (self.protocol.changes_frames or self.train_set.input_size is None):
+            raise ValueError(
+                "trainer.aspect_ratios cuts parts out of whole frames: give data.input_size, and a protocol "
+                f"that neither resizes nor crops frames, not {self.protocol.name}"
+            )
         loss.setup(model, self.accelerator.autocast)
         self.loss = loss.to(device)
         if self.sync_batchnorm and self.processes > 1:
@@ -448,7 +460,12 @@ class Trainer:
 
     def _sampler(self, batch_size: int) -> EpochSampler:
         return EpochSampler(
-            len(self.train_set), batch_size, seed=self.seed, rank=self.rank, processes=self.processes
+            len(self.train_set),
+            batch_size,
+            seed=self.seed,
+            rank=self.rank,
+            processes=self.processes,
+            aspect_ratios=self.aspect_ratios,
         )
 
     def _graphed_step(self) -> GraphedStep:

@@ -91,6 +91,15 @@ def test_rooms_of_many_lenses_hand_over_each_focal_length(tmp_path: Path) -> Non
         Rooms("train", 8, size=SIZE, root=tmp_path, focal=[2.0, 0.4])
 
 
+def test_near_rooms_show_what_is_close(tmp_path: Path) -> None:
+    near = Rooms("train", 16, size=SIZE, root=tmp_path, workers=2, near=True)
+    assert near.folder.name.startswith("rooms-near-v1")
+    medians = [float(np.median(near.load_frame(index).depth)) for index in range(16)]
+    assert 0.25 < min(medians) < 0.6 < max(medians) < 1.5
+    with pytest.raises(ValueError, match="near=true: streets has no such frames; rooms has"):
+        Streets("train", 8, root=tmp_path, near=True)
+
+
 def test_stored_depth_is_exact_to_a_tenth_of_a_millimeter(dataset: Rooms) -> None:
     views = render_room("train", 0, SIZE)
     near = views.depth[2] < 13.1

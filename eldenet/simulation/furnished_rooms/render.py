@@ -41,6 +41,7 @@ def render_room(
     *,
     focal: tuple[float, float] = KINECT,
     detail: bool = False,
+    near: bool = False,
 ) -> Views:
     """Render the frames of room ``index`` of a split at ``(height, width)`` [px].
 
@@ -51,6 +52,7 @@ def render_room(
         views: how many.
         focal: range of fx [widths]; each frame draws its own.
         detail: rooms as people photograph them: natural colors, more things, light that bounces.
+        near: frames of what is close: half of the pixels within 0.3 to 1.2 m.
     """
     cv2.setNumThreads(0)
     room = CompiledRoom(generate_room(split, index, detail))
@@ -58,7 +60,8 @@ def render_room(
     frames = []
     for view in range(views):
         camera = RayCamera(size, draw_intrinsics(draw, size, focal))
-        position, rotation = choose_pose(room, camera, draw, by_hand=detail)
+        choose = choose_near_pose if near else choose_pose
+        position, rotation = choose(room, camera, draw, by_hand=detail)
         linear, hits = room.photograph(camera, position, rotation)
         seed = (SPLITS[split], index, 2, view)
         image = (develop_photo if detail else develop)(linear, Draw(seed), (*seed, 1))
@@ -130,4 +133,33 @@ def choose_pose(
             break
     if best is None:  # every candidate stood in furniture: look down from the middle of the room
         return np.array([0.0, 0.0, min(1.7, h - 0.2)]), camera_rotation(draw.uniform(-np.pi, np.pi), -0.3)
+    return best[1], best[2]
+
+
+def choose_near_pose(
+    room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera close to things or a wall.
+
+    Of 20 candidates, the one whose median depth is closest to a drawn one of 0.3 to 1.2 m is taken; no pixel
+    of its handful of rays is nearer than 0.15 m.
+    """
+    height, width = camera.size
+    probe_size = (9, 12)
+    scale = np.diag([probe_size[1] / width, probe_size[0] / height, 1.0])
+    probe = RayCamera(probe_size, scale @ camera.intrinsics)
+    sx, sy, h = room.room.size
+    wanted = draw.uniform(0.3, 1.2)
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+    for _ in range(20):
+        z = draw.uniform(0.15, min(1.8, h - 0.2) if by_hand else 1.0)
+        x, y = draw.uniform(-0.5, 0.5) * (sx - 0.3), draw.uniform(-0.5, 0.5) * (sy - 0.3)
+        yaw, roll = draw.uniform(-np.pi, np.pi), draw.uniform(-0.1, 0.1)
+        pitch = draw.uniform(-0.9, 0.1) if z > 0.8 else draw.uniform(-0.3, 0.3)
+        position, rotation = np.array([x, y, z]), camera_rotation(yaw, pitch, roll)
+        depth, _ = probe.probe(room.model, room.data, position, rotation)
+        miss = abs(float(np.log(np.median(depth) / wanted))) + 10 * float(depth.min() < 0.15)
+        if best is None or miss < best[0]:
+            best = (miss, position, rotation)
+    assert best is not None
     return best[1], best[2]
