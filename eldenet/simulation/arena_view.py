@@ -129,19 +129,9 @@ def render_arena(
     """
     frames = [
         (photo.image, photo.depth, robot_intrinsics(size), *camera_pose(pose))
-        for _, pose, photo in _photos(split, index, size, views, detail)
+        for _, pose, photo in arena_photos(split, index, size, views, detail)
     ]
     return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
-
-
-def render_arena_objects(split: str, index: int, size: tuple[int, int]) -> tuple[np.ndarray, Detections2D]:
-    """Render the first image ``(H, W, 3)`` of :func:`render_arena`, and the 2D boxes of its obstacles.
-
-    Raises:
-        ValueError: unknown split or index out of range.
-    """
-    arena, _, photo = next(_photos(split, index, size, 1))
-    return photo.image, simulated_detections(photo, arena)
 
 
 def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
@@ -160,7 +150,7 @@ def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
     return Detections2D(np.array(boxes, float), np.ones(len(boxes)), np.array(labels, np.int64), kinds)
 
 
-def _photos(
+def arena_photos(
     split: str, index: int, size: tuple[int, int], views: int, detail: bool = False
 ) -> Iterator[tuple[Arena, tuple[float, float, float], Photo]]:
     """Draw arena ``index`` of a split and yield it with the pose and photo of each frame."""

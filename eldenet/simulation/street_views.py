@@ -1,15 +1,13 @@
-"""Frames whose objects are known: streets and halls with depth and 3D boxes; any scene with 2D boxes."""
+"""Frames of streets and halls whose objects are known, with depth, 3D and 2D boxes."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of, pinhole
-from eldenet.simulation.arena_view import render_arena_objects
-from eldenet.simulation.furnished_rooms.render import KINECT, Views, choose_pose, draw_intrinsics
-from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
+from eldenet.simulation.furnished_rooms.render import Views
+from eldenet.simulation.furnished_rooms.rooms import SPLITS
 from eldenet.simulation.rendering.camera import (
     SEEN_GROUPS,
     RayCamera,
@@ -23,27 +21,14 @@ from eldenet.simulation.rendering.shading import CompiledRoom
 from eldenet.simulation.street_furniture import sky_color
 from eldenet.simulation.streets import FAR, STREAM, generate_scene
 from eldenet.simulation.streets import NAMES as STREET_NAMES
-from eldenet.system.checks import one_of
 
 #: Version of the frames of streets, halls and a detector's rooms. Golden frames in the tests watch over it.
 STREETS_VERSION = 1
 #: Names of the boxes in streets and halls (furniture is in rooms alone).
 BOX_NAMES = (*STREET_NAMES, "furniture", "cyclist")
-#: Kinds of scenes for a 2D detector, and what it finds there.
-OBJECTS = {
-    "street": ("car", "van", "truck", "person", "pillar"),
-    "crossing": ("car", "van", "truck", "person", "pillar", "cyclist"),
-    "hall": ("person", "box", "pillar"),
-    "room": ("person", "furniture"),
-    "arena": ("cylinder", "person", "box", "vehicle"),
-}
 #: fx [widths]: KITTI's field of view outdoors, a wide robot's camera in halls.
 FOCAL = {"street": 0.58, "hall": 0.62, "crossing": 0.58}
-_ROOM_STREAM = 8  # of the cameras in rooms; streets and halls have their own
 _MIN_PIXELS = 30  # of an object in a street or hall
-_MIN_PIXELS_ROOM = 60
-_MIN_VISIBLE = 0.25  # share of an object that a 2D detector can learn from
-_MIN_SIDE = 6.0  # of its box [px]
 _LABEL_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # level from world
 
 
@@ -74,30 +59,6 @@ class StreetView(NamedTuple):
     instance: np.ndarray
     height: float
     rotation: np.ndarray
-
-
-def names_of(kinds: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of all objects in some kinds of scenes.
-
-    Raises:
-        ValueError: an unknown kind.
-    """
-    for kind in kinds:
-        one_of("kinds", kind, OBJECTS)
-    found = {name for kind in kinds for name in OBJECTS[kind]}
-    return tuple(name for name in (*BOX_NAMES, "cylinder", "vehicle") if name in found)
-
-
-class ObjectView(NamedTuple):
-    """One frame for a 2D detector.
-
-    Attributes:
-        image: ``(H, W, 3)`` uint8 RGB.
-        detections: boxes around the visible pixels of the objects.
-    """
-
-    image: np.ndarray
-    detections: Detections2D
 
 
 def render_street(
@@ -180,47 +141,6 @@ def render_streets(
         np.array([[0.0, 0.0, view.height] for view in found]),
         np.stack([view.rotation for view in found]),
     )
-
-
-def render_objects(
-    split: str, index: int, size: tuple[int, int], kind: str, *, focal: tuple[float, float] | None = None
-) -> ObjectView:
-    """Render frame ``index`` of a split and kind at ``(height, width)`` [px] for a 2D detector.
-
-    Objects that are mostly hidden or smaller than a few pixels are left out. Classes are those of
-    ``OBJECTS``; everything but people is "furniture" in a room. ``focal`` is a range of
-    fx [widths], of which each frame draws its own; None: the lens of its kind. Arenas are always seen by the
-    robot's own camera.
-    """
-    if kind == "arena":
-        image, found = render_arena_objects(split, index, size)
-        return ObjectView(image, _large_enough(found))
-    if kind == "room":
-        return _render_room(split, index, size, focal or KINECT)
-    view = render_street(split, index, size, kind, focal=focal)
-    return ObjectView(view.image, _large_enough(view.detections.select(view.visible >= _MIN_VISIBLE)))
-
-
-def _render_room(split: str, index: int, size: tuple[int, int], focal: tuple[float, float]) -> ObjectView:
-    room = CompiledRoom(generate_room(split, index))
-    draw = Draw((_ROOM_STREAM, SPLITS[split], index))
-    camera = RayCamera(size, draw_intrinsics(draw, size, focal))
-    linear, hits = room.photograph(camera, *choose_pose(room, camera, draw))
-    image = develop(linear, draw, (_ROOM_STREAM, SPLITS[split], index, 1))
-    body = np.append(room.model.geom_bodyid, 0)[hits.geom].reshape(size)  # -1 is the last: nothing was met
-    boxes, labels = [], []
-    for number, maker in room.room.pieces.items():
-        rows, columns = np.nonzero(body == number)
-        if len(rows) >= _MIN_PIXELS_ROOM:
-            boxes.append(extent_of(rows, columns))
-            labels.append(OBJECTS["room"].index("person" if maker == "person" else "furniture"))
-    xyxy, label = np.array(boxes, float).reshape(-1, 4), np.array(labels, np.int64)
-    return ObjectView(image, _large_enough(Detections2D(xyxy, np.ones(len(xyxy)), label, OBJECTS["room"])))
-
-
-def _large_enough(found: Detections2D) -> Detections2D:
-    """Return the boxes without the smallest."""
-    return found.select((found.xyxy[:, 2:] - found.xyxy[:, :2] >= _MIN_SIDE).all(1))
 
 
 def _visibility(

@@ -5,12 +5,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from object_views import names_of, render_objects
 
 from eldenet.boxes import Detections2D
 from eldenet.data.arenas import Arenas
 from eldenet.data.io import read_image
 from eldenet.geometry import from_corner, to_corner
-from eldenet.simulation.street_views import STREETS_VERSION, names_of, render_objects
+from eldenet.simulation.street_views import STREETS_VERSION
 from eldenet.system.errors import reading
 from eldenet.system.files import read_json, read_text, write_text
 from eldenet.visualization import write_picture
@@ -36,7 +37,7 @@ def write_dataset(
             box as shares of the image).
         counts: by split of the simulator: "train", "val", "test".
         size: ``(height, width)`` [px].
-        kinds: of scenes, see :data:`eldenet.simulation.street_views.OBJECTS`.
+        kinds: of scenes, see :data:`object_views.OBJECTS`.
         focal: range of fx [widths], of which each image draws its own; None: the lens of its kind.
         advance: called with the number of new images.
 

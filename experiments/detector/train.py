@@ -21,12 +21,12 @@ import numpy as np  # noqa: E402
 import rich.progress  # noqa: E402
 from detection_data import read_split, scene_versions, write_dataset  # noqa: E402
 from libreyolo_detector import LibreYoloDetector, YoloTraining  # noqa: E402
+from object_views import names_of  # noqa: E402
 
 from eldenet.boxes import Detections2D  # noqa: E402
 from eldenet.perception.drawing import draw_detections  # noqa: E402
 from eldenet.perception.onnx_detector import OnnxDetector  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.simulation.street_views import names_of  # noqa: E402
 from eldenet.system.files import write_json  # noqa: E402
 from eldenet.system.resources import choose_resources  # noqa: E402
 from eldenet.visualization import stack_rows, write_picture  # noqa: E402

@@ -18,13 +18,13 @@ prepare_environment()
 
 import cv2  # noqa: E402
 import numpy as np  # noqa: E402
+from walks import render_walk  # noqa: E402
 
 import eldenet  # noqa: E402
 from eldenet.deploy.steady import SteadyFilter  # noqa: E402
 from eldenet.geometry import back_project, resize_image  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.simulation.furnished_rooms.render import Views  # noqa: E402
-from eldenet.simulation.furnished_rooms.walks import render_walk  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
 
 HERE = Path(__file__).parent

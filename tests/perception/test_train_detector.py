@@ -7,11 +7,14 @@ import pytest
 from support.scripts import load_scripts
 
 from eldenet.boxes import Detections2D
-from eldenet.simulation.street_views import names_of, render_objects
+from eldenet.geometry import to_corner
+from eldenet.simulation.furnished_rooms.rooms import generate_room
+from eldenet.simulation.rendering.shading import CompiledRoom
 
-train, detection_data, libreyolo_detector = load_scripts(
-    "detector", "train", "detection_data", "libreyolo_detector"
+train, detection_data, libreyolo_detector, object_views = load_scripts(
+    "detector", "train", "detection_data", "libreyolo_detector", "object_views"
 )
+names_of, render_objects, OBJECTS = object_views.names_of, object_views.render_objects, object_views.OBJECTS
 read_split, write_dataset = detection_data.read_split, detection_data.write_dataset
 LibreYoloDetector = libreyolo_detector.LibreYoloDetector
 SIZE = (96, 160)
@@ -21,6 +24,34 @@ NEEDED = "pip install libreyolo onnx onnxruntime"
 
 def options(folder, *words):
     return train.options(["--output", str(folder), *words])
+
+
+# --- rendered scenes ---
+
+
+@pytest.mark.parametrize("kind", OBJECTS)
+def test_boxes_of_rendered_objects_lie_inside_the_image(kind):
+    views = [render_objects("train", index, SIZE, kind) for index in range(3)]
+    assert {name for view in views for name in view.detections.classes} <= set(OBJECTS[kind])
+    assert sum(len(view.detections) for view in views) > 3
+    for view in views:
+        corners = to_corner(view.detections.xyxy)
+        low, high = corners[:, :2], corners[:, 2:]
+        assert (low >= 0).all()
+        assert (high <= (SIZE[1], SIZE[0])).all()
+        assert (high - low >= 6).all()
+
+
+def test_the_pieces_of_a_room_have_the_indices_of_their_bodies():
+    for index in range(4):
+        room = generate_room("train", index)
+        model = CompiledRoom(room).model
+        assert room.pieces
+        for number, maker in room.pieces.items():
+            geoms = np.nonzero(model.geom_bodyid == number)[0]
+            assert len(geoms) > 0
+            if maker == "person":  # taller than wide: this is the right body
+                assert model.geom_pos[geoms, 2].max() > 1.0
 
 
 # --- files ---

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.scripts import load_scripts
 
 from eldenet.data.arenas import Arenas
 from eldenet.data.rendering import encode_depth
@@ -17,7 +18,7 @@ from eldenet.data.rooms import Rooms
 from eldenet.data.streets import Streets
 from eldenet.simulation.arena_view import render_arena
 from eldenet.simulation.furnished_rooms.render import render_room
-from eldenet.simulation.street_views import STREETS_VERSION, render_objects, render_street
+from eldenet.simulation.street_views import STREETS_VERSION, render_street
 
 GOLDEN = Path(__file__).parent / "golden"
 SIZE = (96, 128)  # (height, width)
@@ -42,7 +43,8 @@ def streets(detail: bool = False) -> Frames:
     frames = stacked([view.image[None] for view in views], [view.depth[None] for view in views])
     if detail:
         return frames
-    return frames | {"room_image": render_objects("test", 2, (96, 312), "room").image[None]}
+    (views_of_objects,) = load_scripts("detector", "object_views")
+    return frames | {"room_image": views_of_objects.render_objects("test", 2, (96, 312), "room").image[None]}
 
 
 def stacked(images: list[np.ndarray], depths: list[np.ndarray]) -> Frames:
