@@ -216,8 +216,6 @@ def open_results(s: PredictSettings, source: "Source") -> "Results":
     if s.formats is not None:
         formats = [str(name) for name in listed(s.formats)]
     for name in formats:
-        if name == "colour":
-            raise ValueError("formats: 'colour' is now called 'color'")
         one_of("formats", name, tuple(ENDING))
     if not formats:
         raise ValueError(f"formats is empty: give at least one of {', '.join(ENDING)}")

@@ -2,7 +2,6 @@
 
 import logging
 import tempfile
-import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -31,7 +30,6 @@ NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 AXES = {"batch": 0, "height": 2, "width": 3}  # of images (B, 3, H, W)
 LEAST = {"batch": 1, "height": 16, "width": 16}
-_ONE_AT_A_TIME = threading.RLock()  # stdout and the log level belong to the process
 
 
 def write_onnx(
@@ -167,19 +165,15 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep the log lines, warnings and prints of exporters and quantizers off the terminal.
-
-    Other threads wait: if they left in a different order than they entered, the terminal would stay silent.
-    """
-    with _ONE_AT_A_TIME:
-        disabled = logging.root.manager.disable
-        logging.disable(logging.WARNING)
-        try:
-            with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-                warnings.simplefilter("ignore")
-                yield
-        finally:
-            logging.disable(disabled)
+    """Keep the log lines, warnings and prints of exporters and quantizers off the terminal."""
+    disabled = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(disabled)
 
 
 class SigmaNet(nn.Module):

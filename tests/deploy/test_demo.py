@@ -2,7 +2,6 @@
 
 import base64
 import http.client
-import re
 import shutil
 import socket
 import struct
@@ -266,21 +265,6 @@ def test_the_page_of_the_documentation_gives_what_python_gives(browser, page_fol
     assert found == pytest.approx(depth[depth.shape[0] // 2, depth.shape[1] // 2], abs=TOLERANCE)
 
 
-def test_loading_says_how_far_it_is(browser, address):
-    with browser.new_context() as context:
-        page = context.new_page()
-        page.add_init_script(
-            "document.addEventListener('DOMContentLoaded', () => { window.said = []; new MutationObserver("
-            "() => said.push(document.getElementById('status').textContent))"
-            ".observe(document.getElementById('status'), { childList: true }); })"
-        )
-        opened(page, address)
-        said = page.evaluate("said")
-    shares = [re.fullmatch(r"loading the network: (\d+) of (\d+) MB", text) for text in said]
-    come, whole = map(int, [share for share in shares if share][-1].groups())
-    assert come == whole > 10
-
-
 def test_what_is_no_picture_gets_one_line(page, tmp_path):
     (tmp_path / "notes.txt").write_text("no picture")
     page.set_input_files("#file", tmp_path / "notes.txt")
@@ -367,9 +351,3 @@ def test_without_npm_one_line_says_what_to_do(tmp_path, monkeypatch, capsys):
     with pytest.raises(ValueError, match="npm fetches: install Node"):
         install_runtime(tmp_path, RunLog(tmp_path))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_wrong_port_is_refused(run_command):
-    done = run_command("demo", "port=99999")
-    assert done.returncode == 1
-    assert "port=99999: give a number from 0" in done.stderr

@@ -1,7 +1,6 @@
 """``eldenet.estimate`` takes what people have, and gives what ``eldenet predict`` writes."""
 
 import os
-import pickle
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -79,15 +78,6 @@ def test_every_form_of_a_picture_gives_the_same_depth(small: Path, tmp_path: Pat
     assert in_folder[1].save(tmp_path / "out", "color") == [tmp_path / "out/b/c_color.png"]
 
 
-def test_pil_pictures_of_other_modes_are_converted(small: Path) -> None:
-    color = Image.fromarray(photo())
-    gray = eldenet.estimate(color.convert("L"), small, fov=60)
-    np.testing.assert_array_equal(gray.photo, np.asarray(color.convert("L").convert("RGB")))
-    see_through = color.copy()
-    see_through.putalpha(100)
-    np.testing.assert_array_equal(eldenet.estimate(see_through, small, fov=60).photo, photo())
-
-
 def test_exif_knows_lens_and_pose_in_a_file_and_in_memory(tmp_path: Path) -> None:
     Image.fromarray(photo()).save(tmp_path / "a.jpg", exif=exif(26))
     with Image.open(tmp_path / "a.jpg") as opened:
@@ -115,12 +105,6 @@ def test_threads_share_one_network(small: Path) -> None:
     assert estimation._load.cache_info().misses == 1
     for picture, depth in zip(pictures, found, strict=True):
         np.testing.assert_array_equal(depth, eldenet.estimate(picture, small, fov=60).depth)
-
-
-def test_function_and_result_can_be_pickled(small: Path) -> None:
-    assert pickle.loads(pickle.dumps(eldenet.estimate)) is eldenet.estimate
-    found = eldenet.estimate(photo(), small, fov=60)
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(found)).points(), found.points())
 
 
 def test_weights_that_changed_are_loaded_again(small: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import torch
 
 import eldenet
 from eldenet.compose import compose
-from eldenet.deploy import pictures, runtimes
+from eldenet.deploy import runtimes
 from eldenet.deploy.metadata import read_metadata
 from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import DepthPredictor
@@ -142,31 +142,6 @@ def test_bf16_is_a_way_to_run_fp32_weights(model_folder: Path, photos: Path, tmp
     assert runtimes.load(path, precision="fp32", threads=1).precision == "fp32"
 
 
-def test_export_says_why_it_renders_rooms(
-    model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    class RenderedError(Exception):
-        pass
-
-    def render(*_: object) -> None:
-        raise RenderedError
-
-    monkeypatch.setattr(pictures, "read_pictures", render)
-    words = [f"checkpoint='{model_folder}'", f"output='{tmp_path / 'r.onnx'}'"]
-    with pytest.raises(RenderedError):
-        export(compose(ExportSettings, words))
-    assert "pictures for the check: rendered rooms (yours: pictures=folder)" in capsys.readouterr().out
-
-
-def test_a_camera_file_takes_frames(model_folder: Path, photos: Path, tmp_path: Path) -> None:
-    path = run(
-        model_folder, photos, "camera=[72,96]", "batch=1", "opset=13", f"output='{tmp_path / 'c.onnx'}'"
-    )
-    network = runtimes.load(path, threads=1)
-    assert network.camera_size == (72, 96)
-    assert network(np.zeros((1, 72, 96, 3), np.uint8)).shape == (1, 1, 72, 96)
-
-
 @pytest.mark.parametrize(("factor", "warned"), [(1.05, True), (1.01, False)])
 def test_a_costly_int8_file_is_warned_of(
     factor: float, warned: bool, model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
@@ -198,12 +173,9 @@ def test_a_costly_int8_file_is_warned_of(
         (["camera=5"], r"camera=5: give \[height, width\]"),
         (["output=depth.xml"], r"needs a name that ends in \.onnx"),
         (["batch=all"], "batch=all: give a whole number or null"),
-        (["overwrite=maybe"], "overwrite=maybe: give true or false"),
         (["pictures=[a.jpg,b.jpg]"], r"pictures=\[a.jpg,b.jpg\]: give a text or null"),
         (["calibration=0"], "calibration=0: give the number of pictures, 1 or more"),
-        (["checks=-1"], "checks=-1: give the number of pictures, 1 or more"),
         (["checks=0"], "checks=0: give the number of pictures, 1 or more"),
-        (["checks=many"], "checks=many: give a whole number"),
         (["opset=5"], "opset=5: choose 11 to 18"),
         (["pictures=/nowhere/*.jpg"], "holds no pictures: give a folder, or a pattern"),
     ],

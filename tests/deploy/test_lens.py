@@ -180,45 +180,20 @@ def test_a_photo_whose_exif_knows_the_lens_becomes_points(lens_model: DepthNet, 
 
 
 @pytest.mark.parametrize(
-    ("overrides", "line"),
+    ("film", "overrides", "line"),
     [
-        (["focal=50"], "camera: fx 50 px (given), pictures 64 px wide"),
-        ([], "camera: fx 48 px (from EXIF), pictures 64 px wide"),
+        (26, ["focal=50"], "camera: fx 50 px (given), pictures 64 px wide"),
+        (26, [], "camera: fx 48 px (from EXIF), pictures 64 px wide"),
+        (0, [], "camera: unknown, so all distances may be off by one factor: give fov=, focal= or intrin"),
     ],
 )
 def test_predict_says_which_camera_it_assumed(
-    overrides: list[str], line: str, lens_model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    film: int, overrides: list[str], line: str, lens_model: DepthNet, tmp_path: Path, capsys
 ) -> None:
     lens_model.save_pretrained(tmp_path / "model")
-    picture = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
+    picture = photo_with_exif(tmp_path / "a.jpg", (48, 64), film)
     predict(settings(tmp_path / "model", picture, tmp_path / "out", "formats=[depth]", *overrides))
     assert line in capsys.readouterr().out
-
-
-def test_predict_says_that_distances_may_be_off_without_a_focal_length(
-    lens_model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    lens_model.save_pretrained(tmp_path / "model")
-    predict(
-        settings(tmp_path / "model", save(tmp_path / "a.png", photo()), tmp_path / "out", "formats=[depth]")
-    )
-    line = "camera: unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
-    assert line in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"focal": 2}, "focal=2 is a horizontal field of view of 173 degrees"),
-        ({"focal": 1e300}, "focal=1e[+]300 is"),
-        ({"focal": True}, "focal=True: give fx"),
-        ({"fov": 1.15}, "radians are 65.89 degrees"),
-        ({"intrinsics": [0.8, 1.1, 0.5, 0.5]}, "divided by the picture's size"),
-    ],
-)
-def test_a_lens_in_another_unit_predicts_nothing(given, said, lens_model: DepthNet) -> None:
-    with pytest.raises(ValueError, match=said):
-        DepthPredictor(lens_model)(photo(48, 64), **given)
 
 
 def test_no_lens_makes_depth_that_is_not_finite(

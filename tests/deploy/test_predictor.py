@@ -1,11 +1,11 @@
 """Frames become meters; meters become numbers, points and pictures."""
 
 import copy
-import math
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -67,28 +67,33 @@ def test_predictor_without_a_training_size_limits_the_longer_side() -> None:
     assert predictor.size_for(10_000, 1) == (100, 1)
 
 
-@pytest.mark.parametrize("frame", [photo()[..., 0], photo().astype(np.float32), photo()[:0]])
-def test_predictor_refuses_other_shapes_and_types(model: DepthNet, frame: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"give the picture, \(H, W, 3\) uint8 RGB"):
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        (photo()[..., 0], r"\(48, 64\) uint8: give the picture, \(H, W, 3\) uint8 RGB"),
+        (photo().astype(np.float32), r"float32: give the picture, \(H, W, 3\) uint8 RGB"),
+        (photo()[:0], r"give the picture, \(H, W, 3\) uint8 RGB"),
+        ("a.jpg", r"frame is str: give the picture, \(H, W, 3\) uint8 RGB"),
+        (photo(1, 640), r"frame is 1 x 640 px: give a picture of 8 px or more"),
+    ],
+)
+def test_predictor_refuses_what_is_no_picture(model: DepthNet, frame: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
         DepthPredictor(model)(frame)
 
 
-def test_names_in_place_of_networks_and_pictures_are_refused(model: DepthNet) -> None:
-    with pytest.raises(ValueError, match=r"model='a.jpg' is a name, not a network: give eldenet.load"):
-        DepthPredictor("a.jpg")
-    with pytest.raises(ValueError, match=r"frame is str: give the picture, \(H, W, 3\) uint8 RGB"):
-        DepthPredictor(model)("a.jpg")
-
-
-def test_predictor_refuses_wrong_sizes_and_infinite_depth(model: DepthNet) -> None:
-    with pytest.raises(ValueError, match="input_size"):
-        DepthPredictor(model, (0, 32))
-    with pytest.raises(ValueError, match=r"input_size=128: give \[height, width\] in pixels"):
-        DepthPredictor(model, 128)  # type: ignore[arg-type]
-    damaged = copy.deepcopy(model)
-    next(damaged.network.parameters()).data.fill_(math.nan)
-    with pytest.raises(ValueError, match="not finite"):
-        DepthPredictor(damaged)(photo())
+@pytest.mark.parametrize(
+    ("network", "options", "said"),
+    [
+        ("a.jpg", {}, r"model='a.jpg' is a name, not a network: give eldenet.load"),
+        (None, {"input_size": (0, 32)}, "input_size"),
+        (None, {"input_size": 128}, r"input_size=128: give \[height, width\] in pixels"),
+        (Runtime("fp32", 1, "cpu", {}), {"device": "cuda"}, r"device=cuda is for models.*runtimes\.load"),
+    ],
+)
+def test_predictor_refuses_what_does_not_fit(model: DepthNet, network: Any, options: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        DepthPredictor(network or model, **options)
 
 
 def test_predictor_refuses_a_device_for_a_runtime() -> None:
@@ -146,14 +151,6 @@ def test_the_last_rows_of_an_odd_size_are_like_their_neighbors() -> None:
     assert rows[-1] > 1.3 * rows[-16]
     rows = np.median(predictor(frame), axis=1)
     assert rows[-1] == pytest.approx(rows[-16], rel=0.05)
-
-
-@pytest.mark.parametrize("size", [(1, 1), (1, 640), (7, 7)])
-def test_a_picture_that_shows_nothing_is_refused(model: DepthNet, size: tuple[int, int]) -> None:
-    with pytest.raises(
-        ValueError, match=rf"frame is {size[0]} x {size[1]} px: give a picture of 8 px or more"
-    ):
-        DepthPredictor(model)(np.zeros((*size, 3), np.uint8))
 
 
 class Answers(Runtime):

@@ -113,21 +113,3 @@ def test_predict_writes_sigma_and_pales_what_it_does_not_know(
     said = capsys.readouterr().out
     assert f"the network is unsure of {100 * share:.1f} % of the pixels" in said
     assert "in pale colors" in said
-
-
-def test_pictures_without_the_format_sigma_have_plain_colors(
-    model: DepthNet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    source = save(tmp_path / "room.png", photo())
-    folder = model.save_pretrained(tmp_path / "model", info=model.info)
-    predict(settings(folder, source, tmp_path / "out", "formats=[color]"))
-    panel = cv2.imread(str(tmp_path / "out" / "room_color.png"))[:, 5 * 64 + 4 : 2 * 5 * 64 + 4]
-    assert not (panel >= PALE).all(-1).any()
-    assert "formats=[color,sigma] shows where" in capsys.readouterr().out
-
-
-def test_predict_refuses_sigma_of_a_network_that_knows_none(tmp_path: Path) -> None:
-    source = save(tmp_path / "room.png", photo())
-    folder = small_net().save_pretrained(tmp_path / "model")
-    with pytest.raises(ValueError, match=f"formats has sigma: {NO_SIGMA}"):
-        predict(settings(folder, source, tmp_path / "out", "formats=[sigma]"))

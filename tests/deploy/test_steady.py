@@ -59,16 +59,11 @@ def test_another_scene_comes_back_unchanged():
         assert steady(render_room("val", room, SIZE, views=1).image[0], depth) is depth
 
 
-def test_a_jump_in_scale_starts_anew(scene):
+@pytest.mark.parametrize("change", [lambda depth: 2 * depth, lambda depth: depth[:48] * 1.1])
+def test_a_jump_in_scale_and_another_size_start_anew(scene, change):
     steady, depth = SteadyFilter(), flickering(1)[0]
     steady(scene, depth)
-    np.testing.assert_array_equal(steady(scene, 2 * depth), 2 * depth)
-
-
-def test_another_size_starts_anew(scene):
-    steady, depth = SteadyFilter(), flickering(1)[0]
-    steady(scene, depth)
-    np.testing.assert_array_equal(steady(scene, depth[:48] * 1.1), depth[:48] * 1.1)
+    np.testing.assert_array_equal(steady(scene, change(depth)), change(depth))
 
 
 def test_the_predictor_is_steady_in_a_loop_unless_told_otherwise(scene):

@@ -63,15 +63,6 @@ def test_a_camera_has_any_name_of_its_device(tmp_path: Path) -> None:
         DepthStream(tmp_path / "front camera", lambda frame: frame)
 
 
-def test_a_phones_upright_video_stands_upright(tmp_path: Path) -> None:
-    source = copy_packets(write_video(tmp_path / "walk.mp4", frames=2), rotation=-90)
-    with DepthStream(source, lambda frame: frame[..., 0]) as stream:
-        shown = [item.frame for item in stream]
-    expected = [frame[..., ::-1] for frame in read_video(source)[0]]
-    assert shown[0].shape == (64, 48, 3)
-    np.testing.assert_array_equal(shown, expected)
-
-
 @pytest.mark.parametrize("ending", CODECS)
 def test_a_whole_file_gives_all_frames_and_no_fault(tmp_path: Path, ending: str) -> None:
     times, fault = stream_of(write_video(tmp_path / f"walk{ending}", frames=60))

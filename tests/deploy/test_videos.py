@@ -3,7 +3,6 @@
 import resource
 import signal
 import socket
-import threading
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -211,38 +210,3 @@ def test_an_address_that_never_answers_ends_in_the_timeout() -> None:
         with pytest.raises(ValueError, match=rf"source=rtsp://{address}/a did not answer within 1 s"):
             DepthStream(f"rtsp://{address}/a", lambda frame: frame, timeout=1.0)
         assert time.monotonic() - start < 5
-
-
-def test_predict_ends_at_a_camera_that_stalls_and_keeps_what_it_has(
-    model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    awake = threading.Event()
-
-    class Camera:
-        left = 2
-
-        def isOpened(self) -> bool:
-            return True
-
-        def get(self, what: int) -> float:
-            return 0.0
-
-        def read(self) -> tuple[bool, np.ndarray]:
-            self.left -= 1
-            if self.left < 0:
-                threading.Timer(1.0, awake.set).start()  # so that closing need not wait for long
-                awake.wait(60)
-            return self.left >= 0, np.zeros((48, 64, 3), np.uint8)
-
-        def release(self) -> None:
-            pass
-
-    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Camera())
-    with pytest.raises(
-        OSError, match=r"camera:0 stopped after 2 frames: no new one came for 0\.5 s; earlier"
-    ):
-        run(model_folder, "camera:0", tmp_path / "out", "camera_timeout=0.5", "formats=[depth]")
-    assert any((tmp_path / "out").rglob("*.png"))
-    for wrong in ("0", "nan"):
-        with pytest.raises(ValueError, match=r"camera_timeout=.*: give seconds above 0, or null"):
-            run(model_folder, "camera:0", tmp_path / "out", f"camera_timeout={wrong}")
