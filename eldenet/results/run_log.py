@@ -1,6 +1,7 @@
 """Output of a run for people: progress (a bar on a terminal, else lines), loggers, images, tables."""
 
 import os
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -49,10 +50,16 @@ class RunLog:
     ) -> None:
         self.folder, self.quiet, self.loggers = folder, quiet, loggers
         self.console = open_console(quiet=quiet)
+        self._started = time.monotonic()
         if not self.console.is_terminal and "COLUMNS" not in os.environ:
             self.console.width = 500  # a file has no width: tables keep all columns
         self._open: list[Logger] | None = None
         self._first_step = first_step
+
+    @property
+    def seconds(self) -> float:
+        """Time since this log was made, at the start of the run [s]."""
+        return time.monotonic() - self._started
 
     def _opened(self) -> list[Logger]:
         """The loggers, opened when first used."""

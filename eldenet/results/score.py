@@ -112,6 +112,7 @@ def score(
         "seed": info.get("seed"),
         "resources": asdict(resources),
         "training": facts.get("training"),
+        "seconds": log.seconds,  # of the whole command; of a resumed one, since it resumed
         "overrides": facts.get("overrides", []),
         "config": dict(settings),
         **environment(),

@@ -49,6 +49,7 @@ def test_the_recipe_trains(name: str, tmp_path: Path) -> None:
     train(replace(config, output=str(tmp_path / "run")))
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert math.isfinite(record["metrics"]["abs_rel"])
+    assert record["seconds"] > record["training"]["seconds"] > 0  # the whole command
     rows = list(csv.DictReader((tmp_path / "run" / "history.csv").open()))
     assert [float(row["lr"]) for row in rows] == pytest.approx([0.9e-3, 0.81e-3])  # after each
 
