@@ -202,6 +202,42 @@ class _TrueRanges:
         return Observation(self.world.ranges(), np.zeros(ROBOT.columns, np.intp))
 
 
+class Centers(SimulatedSensor):
+    """Distances to the centers of the objects in view, as an ideal detector with 3D boxes would give them.
+
+    The column of an object's center has the distance to it, the others see nothing: walls are no objects. A
+    center beside the view counts in the outermost column. For ``observer=paper`` alone: planners and the
+    memory take ranges for surfaces.
+
+    Args:
+        drift: of the odometry.
+        latency: from a scan until its command takes effect [s].
+    """
+
+    def __init__(self, *, drift: Drift | Mapping[str, float] = EXACT, latency: float = 0.0) -> None:
+        super().__init__(drift, latency)
+
+    def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
+        """Return an instance, which uses no random numbers."""
+        return _TrueCenters(world)
+
+
+class _TrueCenters:
+    def __init__(self, world: ArenaWorld) -> None:
+        self.world = world
+
+    def scan(self) -> Observation:
+        ranges = np.full(ROBOT.columns, ROBOT.far)
+        x, y, _ = ROBOT.camera_center(self.world.pose)
+        dx, dy = (self.world.centers() - (x, y)).T
+        bearing = np.arctan2(dy, dx) - self.world.pose[2]
+        bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
+        column = (bearing / ROBOT.field_of_view + 0.5) * ROBOT.columns
+        column = np.clip(column, 0, ROBOT.columns - 1).astype(np.intp)
+        np.minimum.at(ranges, column, np.hypot(dx, dy))
+        return Observation(np.maximum(ranges, ROBOT.near), np.zeros(ROBOT.columns, np.intp))
+
+
 class _NarrowView:
     def __init__(self, sensor: SensorInstance, view: float) -> None:
         self.sensor = sensor

@@ -10,6 +10,7 @@ import numpy as np
 
 from eldenet.simulation.arena_mjcf import FRICTION, TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
 from eldenet.simulation.arenas import Arena
+from eldenet.simulation.obstacle import THIN
 from eldenet.simulation.rendering.camera import SEEN_GROUPS
 from eldenet.simulation.robot import ROBOT, arc
 from eldenet.system.checks import one_of
@@ -49,6 +50,8 @@ class ArenaWorld:
         self._step, self._rays = mujoco.mj_step, mujoco.mj_multiRay
         self._pedestrians = arena.pedestrians
         self._solid = self.model.geom_contype == 1  # obstacles and walls
+        wall = 2 * np.min(self.model.geom_size[:, :2], axis=1) < THIN  # which no detector finds
+        self._object = ~(wall & (self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX))
         self._geom = np.empty(ROBOT.columns, np.int32)
         self._angles = np.array(ROBOT.column_angles)
         self.time = 0.0
@@ -132,3 +135,9 @@ class ArenaWorld:
         )  # fmt: skip
         distance[self._geom < 0] = ROBOT.far
         return np.clip(distance, ROBOT.near, ROBOT.far)
+
+    def centers(self) -> np.ndarray:
+        """Return x, y ``(K, 2)`` [m] of the centers of the objects that the camera's rays hit; no walls."""
+        self.ranges()
+        hit = np.unique(self._geom[self._geom >= 0])
+        return np.asarray(self.data.geom_xpos[hit[self._object[hit]], :2])

@@ -15,7 +15,7 @@ from eldenet.system.files import write_rows
 
 HERE = Path(__file__).parent
 COURSES = ((5, 0), (20, 0), (40, 0), (80, 0), (20, 10))  # standing obstacles, walking people
-SENSORS = ("ranges", "noisy", "camera", "objects")
+SENSORS = ("ranges", "centers", "noisy", "camera", "objects")
 
 
 def arguments(
@@ -30,7 +30,7 @@ def arguments(
     parser.add_argument(
         "--sensors",
         default="ranges",
-        help="ranges, noisy, camera, objects; camera@0.1 is a camera in a tenth of the light",
+        help="ranges, centers, noisy, camera, objects; camera@0.1 is a camera in a tenth of the light",
     )
     parser.add_argument("--physics", default="wheels", help="wheels, kinematic")
     parser.add_argument("--courses", default=",".join(course_name(*course) for course in courses))

@@ -14,7 +14,7 @@ from eldenet.navigate import NavigateSettings
 from eldenet.navigation.cameras import camera, objects
 from eldenet.navigation.noisy_ranges import NoisyRanges, errors_file
 from eldenet.navigation.provenance import TRAINING_VERSION
-from eldenet.navigation.sensors import Ranges, Sensor
+from eldenet.navigation.sensors import Centers, Ranges, Sensor
 from eldenet.navigation.training import comparable
 from eldenet.system.files import read_json
 from eldenet.weights import located
@@ -102,7 +102,7 @@ def fed_by(sensor: str, args: Namespace) -> str:
     hashes = input_hashes(sensor, args)
     parts = [f"{name} `{names[name]}`" + (f" (SHA-256 {hashes[name][:12]})" if hashes[name] else "")
              for name in used]  # fmt: skip
-    parts += [f"goal `{args.goal}`" + (" (odometry is exact here)" if kind == "ranges" else "")]
+    parts += [f"goal `{args.goal}`" + (" (odometry is exact here)" if kind in ("ranges", "centers") else "")]
     return "Fed by: " + ", ".join(parts) + "."
 
 
@@ -111,6 +111,8 @@ def make_sensor(sensor: str, args: Namespace) -> Sensor:
     kind, _, light = sensor.partition("@")
     if kind == "ranges":
         return Ranges()
+    if kind == "centers":
+        return Centers()
     if kind == "noisy":
         return NoisyRanges(errors=args.errors)
     depth = None if args.depth == TRUTH else args.depth

@@ -38,6 +38,8 @@ class Learned:
 LEARNED = {
     "paper_literal": Learned(("policy=paper_literal",), slows_within=None),
     "paper_state": Learned(("policy=paper_state",), slows_within=None),
+    # the paper's state with the centers of objects: for --sensors centers
+    "paper_centers": Learned(("policy=paper_literal", "sensor=centers"), slows_within=None),
     "dqn": Learned(),
     "dqn_ensemble": Learned(packaged=True),  # three of dqn's trainings drive together
     "dqn_as_trained": Learned(drivers="dqn", slows_within=None),  # 3 m
@@ -54,7 +56,7 @@ LEARNED = {
     "dqn_curriculum": Learned(("training.arenas.curriculum=0.5",)),
     "dqn_quantile": Learned(("learner.quantiles=16",)),
 }  # fmt: skip
-VARIANTS = ("dqn_reverse", "dqn_curriculum", "dqn_quantile")  # only run when asked for by name
+VARIANTS = ("paper_centers", "dqn_reverse", "dqn_curriculum", "dqn_quantile")  # only run by name
 PLANNERS: dict[str, Callable[..., Any]] = {
     "astar_online_dqn": partial(
         PlanAndSteer, slows_within=1.0, heeds_unseen=False

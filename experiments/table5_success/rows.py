@@ -45,7 +45,8 @@ class Row:
         method: a name of LEARNED or PLANNERS.
         density: standing obstacles.
         movers: walking people.
-        sensor: "ranges", "noisy", "camera" or "objects"; "camera@0.1" in that share of a normal day's light.
+        sensor: "ranges", "centers", "noisy", "camera" or "objects"; "camera@0.1" in that share of a normal
+            day's light.
         physics: "wheels" or "kinematic".
         worlds: number of arenas.
         seed: of the training; None for planners.

@@ -26,7 +26,7 @@ from eldenet.navigation.cameras import (
 from eldenet.navigation.noisy_ranges import NoisyRanges, without_missed
 from eldenet.navigation.range_errors import RangeErrors, segments
 from eldenet.navigation.ranges import CAUTION, depth_to_ranges
-from eldenet.navigation.sensors import Ranges
+from eldenet.navigation.sensors import Centers, Ranges
 from eldenet.perception.detectors import CallableDetector
 from eldenet.perception.lifter import BoxLifter
 from eldenet.simulation.arena_view import ArenaView, simulated_detections
@@ -45,6 +45,15 @@ def instance_of(sensor: Camera, arena: Arena = ARENA) -> CameraInstance:
     instance = sensor.begin(ArenaWorld(arena), np.random.default_rng(0))
     assert isinstance(instance, CameraInstance)
     return instance
+
+
+def test_centers_are_those_of_objects_in_view():
+    hidden = Obstacle("cylinder", 4.5, -1.62, 0.0, (0.2, 0.2), 1.2)  # behind the pillar
+    arena = Arena("", 3, 0, (BOX, PILLAR, hidden), (0.0, 0.0, 0.0), ((5.0, 0.0),))
+    sectors = Centers().begin(ArenaWorld(arena), np.random.default_rng(0)).scan().sectors
+    far = ROBOT.far  # the arena's wall is nearer, but is no object
+    to = [np.hypot(one.x - ROBOT.camera_ahead, one.y) for one in (PILLAR, BOX)]
+    assert sectors == pytest.approx([to[0], far, far, to[1], far])
 
 
 # --- boxes ---
