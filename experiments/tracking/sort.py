@@ -8,7 +8,8 @@ from scipy.optimize import linear_sum_assignment
 
 from eldenet.perception.iou import iou_2d
 
-LEAST_OVERLAP = 0.3
+#: Chosen on training drives by ``tune_sort.py``.
+TUNED = {"least_overlap": 0.01}
 # state: center (u, v), area s, aspect r, and the speeds of u, v, s per frame
 MOVE = np.eye(7) + np.eye(7, k=4)
 NOISE = np.diag([1.0, 1.0, 1.0, 1.0, 0.01, 0.01, 0.0001])
@@ -19,11 +20,22 @@ class Sort:
     """``tracker(xyxy, labels) -> numbers (N,)`` of the detections' tracks; 0: not reported yet.
 
     The classes of a track do not mix. ``min_hits`` and ``max_age`` as in
-    :class:`eldenet.perception.tracking.BoxTracker`.
+    :class:`eldenet.perception.tracking.BoxTracker`. Of the others, the defaults are SORT's own:
+    the least overlap of a pair (IoU), and factors of the filter's noise, of the speeds and measured.
     """
 
-    def __init__(self, min_hits: int, max_age: int) -> None:
-        self.min_hits, self.max_age = min_hits, max_age
+    def __init__(
+        self,
+        min_hits: int,
+        max_age: int,
+        *,
+        least_overlap: float = 0.3,
+        speed_noise: float = 1.0,
+        measured_noise: float = 1.0,
+    ) -> None:
+        self.min_hits, self.max_age, self.least_overlap = min_hits, max_age, least_overlap
+        self.noise = NOISE * np.array([1.0, 1.0, 1.0, 1.0, *[speed_noise] * 3])
+        self.measured_noise = measured_noise * MEASURED_NOISE
         self.tracks: list[dict] = []
         self.last = self.frames = 0
 
@@ -33,13 +45,15 @@ class Sort:
             if track["mean"][2] + track["mean"][6] <= 0:
                 track["mean"][6] = 0.0
             track["mean"] = MOVE @ track["mean"]
-            track["covariance"] = MOVE @ track["covariance"] @ MOVE.T + NOISE
+            track["covariance"] = MOVE @ track["covariance"] @ MOVE.T + self.noise
             track["missed"] += 1
         numbers = np.zeros(len(xyxy), int)
         free = set(range(len(xyxy)))
         for row, column in self._assign(xyxy, labels):
             track = self.tracks[row]
-            gain = track["covariance"][:, :4] @ np.linalg.inv(track["covariance"][:4, :4] + MEASURED_NOISE)
+            gain = track["covariance"][:, :4] @ np.linalg.inv(
+                track["covariance"][:4, :4] + self.measured_noise
+            )
             track["mean"] = track["mean"] + gain @ (_state(xyxy[column]) - track["mean"][:4])
             track["covariance"] = track["covariance"] - gain @ track["covariance"][:4]
             track["hits"], track["missed"] = track["hits"] + 1, 0
@@ -65,7 +79,9 @@ class Sort:
         overlap = iou_2d(np.stack([_box(track["mean"]) for track in self.tracks]), xyxy)
         overlap *= np.array([track["label"] for track in self.tracks])[:, None] == labels[None]
         pairs = zip(*linear_sum_assignment(-overlap), strict=True)
-        return [(int(row), int(column)) for row, column in pairs if overlap[row, column] >= LEAST_OVERLAP]
+        return [
+            (int(row), int(column)) for row, column in pairs if overlap[row, column] >= self.least_overlap
+        ]
 
 
 def _state(box: np.ndarray) -> np.ndarray:
