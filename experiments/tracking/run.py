@@ -3,8 +3,9 @@
 pip install -e '.[tracking]'
 python experiments/tracking/run.py
 
-The same detections go to SORT (2D boxes alone) as published and as tuned, to our tracker without 2D boxes (distances from above alone)
-and with them, all with the same ``min_hits`` and ``max_age``. TrackEval scores the 2D boxes, IoU 0.5.
+The same detections go to SORT (2D boxes alone) as published and as tuned, to our tracker without 2D boxes
+(distances from above alone) and with them, all with the same ``min_hits`` and ``max_age``. TrackEval scores
+the 2D boxes, IoU 0.5.
 Settings were chosen on ``--split train``, SORT's by ``tune_sort.py``.
 """
 
