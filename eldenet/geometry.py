@@ -202,6 +202,40 @@ def focal_of_fov(degrees: float, width: int) -> float:
     return width / 2 / math.tan(math.radians(given) / 2)
 
 
+def focal_length(
+    intrinsics: Sequence[float] | np.ndarray | None,
+    fov: float | None,
+    size: tuple[int, int] | None,
+    focal: float | None = None,
+) -> float | None:
+    """Return fx [px] of a frame of ``(height, width)`` [px]; None if nothing is given.
+
+    Without a size, it only checks what can be checked without.
+
+    Raises:
+        ValueError: several are given, or one is out of its range.
+    """
+    given = {"intrinsics": intrinsics, "focal": focal, "fov": fov}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise ValueError(f"{' and '.join(names)} are given: give only one of them")
+    if fov is not None:
+        return focal_of_fov(fov, 1 if size is None else size[1])
+    if focal is not None:
+        fx = as_number(focal)
+        if not 0 < fx < math.inf:
+            raise ValueError(f"focal={focal!r}: give fx of the frame in pixels, a number above 0")
+        if size is not None:
+            check_focal(fx, size, f"focal={fx:g}")
+        return fx
+    if intrinsics is None:
+        return None
+    matrix = intrinsic_matrix(intrinsics)
+    if size is not None:
+        check_intrinsics(matrix, size, inside=False)
+    return float(matrix[0, 0])
+
+
 def as_number(value: Any) -> float:
     """Return a number as float; NaN of anything else, also of True and of text."""
     try:
@@ -404,11 +438,10 @@ class PinholeCamera:
 
     def __post_init__(self) -> None:
         shapes = tuple(np.shape(part) for part in (self.intrinsics, self.rotation, self.translation))
-        focal_lengths = np.diag(self.intrinsics)[:2] if shapes[0] == (3, 3) else np.zeros(2)
-        if shapes != ((3, 3), (3, 3), (3,)) or not (focal_lengths > 0).all():
+        if shapes != ((3, 3), (3, 3), (3,)):
             raise ValueError(
-                f"intrinsics, rotation, translation are {shapes}: give (3, 3) with focal lengths above 0, "
-                "(3, 3), (3,); eldenet.geometry.pinhole makes the first"
+                f"intrinsics, rotation, translation are {shapes}: give (3, 3), (3, 3), (3,); "
+                "eldenet.geometry.pinhole makes the first"
             )
         intrinsic_matrix(self.intrinsics)
 

@@ -20,7 +20,7 @@ import eldenet
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.compose import REQUIRED, listed
 from eldenet.configurable import instantiate
-from eldenet.geometry import focal_of_fov, intrinsic_matrix
+from eldenet.geometry import focal_length, intrinsic_matrix
 from eldenet.system.checks import check_size, one_of
 from eldenet.system.extras import require
 from eldenet.system.resources import choose_resources
@@ -100,15 +100,7 @@ class PredictSettings:
         wait = self.camera_timeout
         if wait is not None and not 0 < wait <= threading.TIMEOUT_MAX:
             raise ValueError(f"camera_timeout={wait}: give seconds above 0, or null to wait forever")
-        lenses = self.lenses
-        if len(lenses) > 1:
-            raise ValueError(f"{' and '.join(lenses)} are given: give only one of them")
-        if self.intrinsics is not None:
-            intrinsic_matrix(self.intrinsics)
-        if self.focal is not None and not self.focal > 0:
-            raise ValueError(f"focal={self.focal:g}: give fx of the source's pictures in pixels, above 0")
-        if self.fov is not None:
-            focal_of_fov(self.fov, 1)
+        focal_length(self.intrinsics, self.fov, None, self.focal)
         check_size("input_size", self.input_size)
         span = self.depth_range
         pair = isinstance(span, list) and len(span) == 2 and all(type(end) in (int, float) for end in span)

@@ -107,7 +107,7 @@ def test_a_projection_matrix_with_an_offset():
 def test_wrong_camera_matrices_are_refused():
     with pytest.raises(ValueError, match=r"give \(3, 3\)"):
         PinholeCamera(np.eye(4))
-    with pytest.raises(ValueError, match="focal"):
+    with pytest.raises(ValueError, match="fx and fy above 0"):
         PinholeCamera(np.zeros((3, 3)))
 
 

@@ -15,10 +15,10 @@ from PIL import Image, ImageOps
 from eldenet.data.io import read_image
 from eldenet.deploy.lens import UNKNOWN_LENS, Lens
 from eldenet.deploy.outputs import ENDING, Results, name_results
-from eldenet.deploy.predictor import DepthPredictor, focal_length
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.video_files import is_video_file
-from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
+from eldenet.geometry import PinholeCamera, back_project, check_intrinsics, focal_length
 from eldenet.system.checks import one_of
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate, as_estimate
 from eldenet.visualization import photo_beside_depth, visible_range

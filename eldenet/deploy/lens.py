@@ -18,8 +18,8 @@ from eldenet.geometry import (
     PinholeCamera,
     check_focal,
     check_intrinsics,
+    focal_length,
     focal_of_film,
-    focal_of_fov,
     intrinsic_matrix,
     pinhole,
 )
@@ -101,16 +101,11 @@ class Lens:
 
     def _find(self, size: Sequence[int], photo: "Photo | None") -> tuple[float | None, str]:
         """Fx [px] of a picture, and where it comes from."""
-        focal, origin = self.focal, "given"
-        if focal is not None:
-            check_focal(focal, (size[0], size[1]), f"focal={focal:g}")
-        if focal is None and self.fov is not None:
-            focal = focal_of_fov(self.fov, size[1])
-        if focal is None and isinstance(photo, Path) and (camera := object_camera(photo)) is not None:
-            focal, origin = float(camera.intrinsics[0, 0]), "from calib/"
-        if focal is None and photo is not None:
-            focal, origin = exif_focal(photo, (size[0], size[1])), "from EXIF"
-        return focal, origin
+        if self.given:
+            return focal_length(None, self.fov, (size[0], size[1]), self.focal), "given"
+        if isinstance(photo, Path) and (camera := object_camera(photo)) is not None:
+            return float(camera.intrinsics[0, 0]), "from calib/"
+        return None if photo is None else exif_focal(photo, (size[0], size[1])), "from EXIF"
 
     def describe(self, *, points: bool = False) -> str:
         """Return one line that says which cameras were assumed, with ``points`` also for points and boxes."""

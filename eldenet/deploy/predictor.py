@@ -2,7 +2,6 @@
 
 import functools
 import logging
-import math
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,12 +14,8 @@ from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
 from eldenet.geometry import (
     BORDER_COLOR,
-    as_number,
-    check_focal,
-    check_intrinsics,
     fit_into,
-    focal_of_fov,
-    intrinsic_matrix,
+    focal_length,
     resize_image,
     size_of_aspect,
 )
@@ -248,40 +243,6 @@ class DepthPredictor:
             self._filters.camera, self._filters.steady = camera, SteadyFilter()
         steady: SteadyFilter = self._filters.steady
         return steady
-
-
-def focal_length(
-    intrinsics: "Sequence[float] | np.ndarray | None",
-    fov: float | None,
-    size: tuple[int, int] | None,
-    focal: float | None = None,
-) -> float | None:
-    """Return fx [px] of a frame of ``(height, width)`` [px]; None if nothing is given.
-
-    Without a size, it only checks what can be checked without.
-
-    Raises:
-        ValueError: several are given, or one is out of its range.
-    """
-    given = {"intrinsics": intrinsics, "focal": focal, "fov": fov}
-    names = [name for name, value in given.items() if value is not None]
-    if len(names) > 1:
-        raise ValueError(f"{' and '.join(names)} are given: give only one of them")
-    if fov is not None:
-        return focal_of_fov(fov, 1 if size is None else size[1])
-    if focal is not None:
-        fx = as_number(focal)
-        if not 0 < fx < math.inf:
-            raise ValueError(f"focal={focal!r}: give fx of the frame in pixels, a number above 0")
-        if size is not None:
-            check_focal(fx, size, f"focal={fx:g}")
-        return fx
-    if intrinsics is None:
-        return None
-    matrix = intrinsic_matrix(intrinsics)
-    if size is not None:
-        check_intrinsics(matrix, size, inside=False)
-    return float(matrix[0, 0])
 
 
 def for_camera(
