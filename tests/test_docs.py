@@ -30,12 +30,6 @@ PAGES = sorted(
     )
     for page in REPOSITORY.glob(pattern)
 )
-CODE = re.compile(r"```.*?```|`[^`\n]+`", re.S)
-BRITISH = re.compile(
-    r"\b(?:colour|metres?\b|centres?\b|grey|neighbour|behaviour|favour|labelled|modelled|licence|analyse"
-    r"|\w*(?:normal|initial|raster|optim|quant|recogn|summar|general)is(?:e|ing|ation))\w*",
-    re.IGNORECASE,
-)
 
 
 def typed(pattern: str, pages: list[Path]) -> list[str]:
@@ -113,15 +107,6 @@ def test_lines_and_tables_are_short(page):
         assert table.count("\n") - 2 <= 8, table
 
 
-def test_pages_use_american_spelling():
-    found = {}
-    for page in PAGES:
-        prose = re.sub(r"\]\([^)]*\)", "]", CODE.sub("", page.read_text()))
-        if words := BRITISH.findall(prose):
-            found[str(page.relative_to(REPOSITORY))] = words
-    assert found == {}
-
-
 def python_blocks(page: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text(), re.S)
 
@@ -156,8 +141,6 @@ def test_the_snippet_of_uncertainty_runs():
 
 def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     pytest.importorskip("onnxruntime")
-    import numpy as np
-
     import eldenet
     from eldenet.deploy import runtimes
     from eldenet.deploy.metadata import describe
@@ -186,7 +169,6 @@ def test_the_snippet_of_embedded_gives_what_predict_gives(name, size, tmp_path, 
     """A board without eldenet prepares the frame as the package does."""
     pytest.importorskip("onnxruntime")
     import cv2
-    import numpy as np
     import skimage
 
     import eldenet

@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 from kornia.geometry.depth import depth_to_3d
 
 from eldenet.geometry import (
-    PinholeCamera,
     back_project,
-    check_camera_height,
     check_intrinsics,
     crop_intrinsics,
     focal_of_fov,
@@ -180,25 +178,3 @@ def test_one_variable_lets_any_lens_through(monkeypatch: pytest.MonkeyPatch, cap
     for wrong in ((1e300, 1e300, 320, 240), [[518, 0, 0], [0, 518, 0], [320, 240, 1]]):
         with pytest.raises(ValueError, match=r"degrees|transpose"):
             judged(wrong)
-
-
-@pytest.mark.parametrize(
-    ("fov", "said"),
-    [(1.15, "1.15 radians are 65.89 degrees"), (170, "4 to 150"), (True, "True")],
-)
-def test_a_field_of_view_is_in_degrees(fov, said) -> None:
-    with pytest.raises(ValueError, match=said):
-        focal_of_fov(fov, 640)
-
-
-@pytest.mark.parametrize(("height", "said"), [(80, "centimeters: give 0.8"), (0.001, "in meters")])
-def test_a_camera_height_is_in_meters(height, said) -> None:
-    with pytest.raises(ValueError, match=said):
-        check_camera_height(height)
-
-
-def test_a_camera_of_a_projection_of_zeros_is_refused() -> None:
-    with pytest.raises(ValueError, match="fx and fy above 0"):
-        PinholeCamera.from_projection(np.zeros((3, 4)))
-    with pytest.raises(ValueError, match="transpose"):
-        PinholeCamera(pinhole(440, 440, 240, 160).T)

@@ -63,10 +63,6 @@ def decoder(request: pytest.FixtureRequest) -> Callable[..., Decoder]:
     return build(yaml.safe_load(DECODERS[request.param].read_text()))
 
 
-def test_the_yaml_files_are_found() -> None:
-    assert set(DECODERS) >= {"fast_upconv", "fastdepth", "multi_kernel", "upconv"}
-
-
 @pytest.mark.parametrize("name", DECODERS)
 def test_the_yaml_shows_every_argument(name: str) -> None:
     content = yaml.safe_load(DECODERS[name].read_text())

@@ -203,9 +203,3 @@ def test_no_lens_makes_depth_that_is_not_finite(
     assert np.isfinite(DepthPredictor(lens_model)(photo(48, 64), fov=0.02)).all()
     with pytest.raises(ValueError, match="focal=1e"):
         DepthPredictor(lens_model)(photo(48, 64), focal=1e300)
-
-
-def test_an_exif_that_is_no_lens_is_named_and_not_used(tmp_path: Path, caplog) -> None:
-    path = photo_with_exif(tmp_path / "a.jpg", (48, 64), 65535)
-    assert exif_focal(path, (48, 64)) is None
-    assert "a.jpg: the EXIF's 65535 mm" in caplog.text

@@ -5,11 +5,9 @@ A further kind of file is one :class:`FileKind` in ``kinds.py``.
 
 import gc
 import hashlib
-import io
 import json
 import logging
 import os
-import pickle
 import re
 import resource
 import select
@@ -247,10 +245,3 @@ def _limit_memory() -> None:
     """Let a bomb end in MemoryError instead of taking the machine."""
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
-
-
-def pickled(value: object) -> bytes:
-    """A pickle, as a stranger writes it."""
-    file = io.BytesIO()
-    pickle.dump(value, file)
-    return file.getvalue()

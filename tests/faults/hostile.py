@@ -147,24 +147,6 @@ def a_model_that_fetches_weights(folder: Path) -> Attack:
 
 
 @hostile
-def a_study_that_names_write_text(folder: Path) -> Attack:
-    from eldenet.studies.latency import row_networks
-
-    call = f"++model.head._target_=pathlib.Path.touch, '++model.head.self={folder}/ESCAPED'"
-    study = write_plan(folder, "[model=eldenet_s]", f"[model=eldenet_s, {call}]")
-    return folder / "sweep.yaml", lambda: list(row_networks(study).networks)
-
-
-@hostile
-def a_study_with_a_python_tag(folder: Path) -> Attack:
-    from eldenet.studies.plan import read_study
-
-    file = folder / "sweep.yaml"
-    file.write_text(f"rows: !!python/object/apply:os.system ['touch {folder / 'ESCAPED'}']\n")
-    return file, lambda: read_study(folder)
-
-
-@hostile
 def a_policy_with_a_foreign_observer(folder: Path) -> Attack:
     from safetensors.torch import load_file, save_file
 
@@ -256,11 +238,11 @@ def onnx_with_weights_in_another_file(folder: Path) -> Attack:
     return inside / "net.onnx", lambda: runtimes.load(inside / "net.onnx", "onnxruntime", threads=1)
 
 
-def _playlist(folder: Path, text: str, name: str = "walk.mp4") -> Attack:
+def _playlist(folder: Path, text: str) -> Attack:
     from eldenet.deploy.video_files import is_video_file
 
     secret = write_video(folder / "secret.mkv")
-    file = folder / name
+    file = folder / "walk.mp4"
     file.write_text(text.replace("VIDEO", str(secret)))
     return refused(folder, file, lambda: _read_video(file) if is_video_file(file) else None)
 
@@ -272,11 +254,6 @@ def a_playlist_as_video(folder: Path) -> Attack:
 
 HLS = "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nVIDEO\n#EXT-X-ENDLIST\n"
 SDP = "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 9 RTP/AVP 96\n"
-
-
-@hostile
-def a_playlist_of_hls(folder: Path) -> Attack:
-    return _playlist(folder, HLS, "walk.m3u8")
 
 
 @hostile
@@ -339,18 +316,6 @@ def hdf5_of_a_terabyte(folder: Path) -> Attack:
         damaged.create_dataset("rgb", (3, 600000, 600000), "u1", chunks=(1, 1000, 1000), compression="gzip")
         damaged.create_dataset("depth", (600000, 600000), "f4", chunks=(1000, 1000), compression="gzip")
     return file, lambda: frames(folder, "hdf5")
-
-
-def _plan_of(folder: Path, text: str) -> Attack:
-    from eldenet.studies.plan import read_study
-
-    (folder / "sweep.yaml").write_text(text)
-    return folder / "sweep.yaml", lambda: repr(read_study(folder))
-
-
-@hostile
-def yaml_nested_without_end(folder: Path) -> Attack:
-    return _plan_of(folder, "rows: " + "[" * 20000 + "]" * 20000)
 
 
 @hostile
@@ -424,13 +389,6 @@ def sparse_weights(folder: Path) -> Attack:
     import torch
 
     return _state(folder, {"weight": torch.sparse_coo_tensor([[0]], [1.0], (1 << 40,))})
-
-
-@hostile
-def quantized_weights(folder: Path) -> Attack:
-    import torch
-
-    return _state(folder, {"weight": torch.quantize_per_tensor(torch.zeros(4), 0.1, 0, torch.qint8)})
 
 
 @hostile

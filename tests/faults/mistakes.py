@@ -5,7 +5,6 @@ right result; ``REFUSED`` where a line must come instead.
 """
 
 import functools
-import struct
 import sys
 import unicodedata
 import zlib
@@ -18,7 +17,6 @@ from typing import Any
 import cv2
 import numpy as np
 from PIL import Image
-from support.films import write_video
 from support.rooms_network import trained
 
 from eldenet.geometry import PinholeCamera, intrinsic_matrix, pinhole
@@ -221,20 +219,6 @@ def a_turned_tiff(folder: Path, rng: np.random.Generator) -> Case:
 
 
 @mistake
-def a_mirrored_video(folder: Path, rng: np.random.Generator) -> Case:
-    from eldenet.deploy.video_files import VideoFile
-
-    path = write_video(folder / "walk.mp4", frames=2)
-    stored = next(VideoFile(path).frames())[0]
-    across, down = (int(sign) for sign in rng.choice([-1, 1], 2))
-    content = bytearray(path.read_bytes())
-    matrix = (65536 * across, 0, 0, 0, 65536 * down, 0, 0, 0, 1 << 30)
-    struct.pack_into(">9i", content, content.index(b"tkhd") + 44, *matrix)
-    path.write_bytes(content)
-    return lambda: next(VideoFile(path).frames())[0], np.ascontiguousarray(stored[::down, ::across])
-
-
-@mistake
 def a_scan_of_other_columns(folder: Path, rng: np.random.Generator) -> Case:
     from eldenet.data.kitti_calibration import read_scan
 
@@ -283,16 +267,6 @@ def names_in_two_forms_of_unicode(folder: Path, rng: np.random.Generator) -> Cas
         picture = _pixels(rng) if part == "images" else np.full((12, 16), 2000, np.uint16)
         cv2.imwrite(str(folder / part / f"{unicodedata.normalize(form, name)}.png"), picture)
     return lambda: FolderDataset(folder, max_depth=10.0).names, [unicodedata.normalize("NFC", name)]
-
-
-@mistake
-def a_network_that_answers_no_depth(folder: Path, rng: np.random.Generator) -> Case:
-    from eldenet.deploy.runtimes.base import check_depth
-
-    depth = rng.uniform(1, 9, (1, 1, 8, 8)).astype(np.float32)
-    depth[..., rng.integers(8), rng.integers(8)] = 0
-    answers = (depth, -depth, depth.astype(np.int64), np.ones((1, 3, 8, 8), np.float32), depth / 0, depth[:0])
-    return lambda: check_depth(answers[rng.integers(len(answers))]), REFUSED
 
 
 @mistake

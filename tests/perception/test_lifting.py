@@ -262,23 +262,15 @@ def test_settings_out_of_range_are_refused(options, message):
         BoxLifter(**options)
 
 
-@pytest.mark.parametrize(
-    ("shape", "message"), [((60, 160), "boxes reach .* for the same image"), ((1, 60, 160), "shape")]
-)
-def test_depth_and_boxes_of_different_images_are_refused(shape, message):
-    _, xyxy = block((-2.0, 0.85, 12.0))
-    with pytest.raises(ValueError, match=message):
-        BoxLifter()(np.ones(shape), detection(xyxy), CAMERA)
-
-
-def test_boxes_as_shares_of_the_picture_are_refused():
+def test_depth_and_boxes_of_different_images_or_units_are_refused():
     depth, xyxy = block((-2.0, 0.85, 12.0))
-    with pytest.raises(ValueError, match="give pixels, not shares of the picture"):
-        BoxLifter()(depth, detection(xyxy / np.tile(depth.shape[::-1], 2)), CAMERA)
-
-
-def test_depth_in_millimeters_warns():
-    depth, xyxy = block((-2.0, 0.85, 12.0))
+    for given, found, message in (
+        (depth[:60, :160], xyxy, "boxes reach .* for the same image"),
+        (depth[None], xyxy, "shape"),
+        (depth, xyxy / np.tile(depth.shape[::-1], 2), "give pixels, not shares of the picture"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            BoxLifter()(given, detection(found), CAMERA)
     with pytest.warns(UserWarning, match="millimeters"):
         BoxLifter()(depth * 1000, detection(xyxy), CAMERA)
 

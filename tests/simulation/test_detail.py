@@ -9,14 +9,12 @@ from eldenet.data.streets import Streets
 from eldenet.geometry import pinhole
 from eldenet.simulation.arena_view import ArenaView, camera_pose
 from eldenet.simulation.arenas import generate_arena
-from eldenet.simulation.furnished_rooms.render import render_room
 from eldenet.simulation.rendering.bounced_light import Sun, contact_shade
 from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
 from eldenet.simulation.rendering.camera_noise import develop_photo
 from eldenet.simulation.rendering.mjcf import Body, Draw, Palette
 from eldenet.simulation.rendering.shading import CompiledRoom, Room
 from eldenet.simulation.rendering.textures import variants
-from eldenet.simulation.street_views import render_street
 
 SIZE = (48, 64)
 CAMERA = RayCamera(SIZE, pinhole(40.0, 40.0, 31.5, 23.5))
@@ -87,27 +85,6 @@ def test_a_photo_burns_out_and_keeps_its_noise_to_its_seed():
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
     assert first[:, 48:].mean() > 240 > first[:, :32].mean()
-
-
-def test_detailed_rooms_are_the_same_twice_and_other_rooms_than_the_plain_ones():
-    first, again, plain = (render_room("train", 3, SIZE, 2, detail=detail) for detail in (True, True, False))
-    for a, b in zip(first, again, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert not np.array_equal(first.image, plain.image)
-    assert (first.depth > 0).mean() > 0.99
-
-
-def test_objects_of_a_detailed_street_lie_in_their_boxes():
-    view = render_street("val", 2, (96, 320), detail=True)
-    rows, columns = np.indices(view.depth.shape)
-    points = view.camera.back_project(columns, rows, view.depth)
-    assert len(view.boxes.center) > 2
-    for number in range(len(view.boxes.center)):
-        box, mine = view.boxes[number], points[view.instance == number]
-        turn = np.array(
-            [[np.cos(box.yaw), 0, -np.sin(box.yaw)], [np.sin(box.yaw), 0, np.cos(box.yaw)], [0, 1, 0]]
-        )
-        assert (np.abs((mine - box.center) @ turn.T) - box.size / 2).max() < 0.02 + 0.018 * box.size.max()
 
 
 def test_a_detailed_arena_knows_its_obstacles_and_walks_its_people():

@@ -89,13 +89,10 @@ def test_culling_hides_nothing_in_view_and_restores_the_model():
         assert all((a == b).all() for a, b in zip(after, before, strict=True))
 
 
-def test_frames_are_reproducible_and_their_depth_is_exact():
-    first, second = render_room("train", 3, SIZE, views=2), render_room("train", 3, SIZE, views=2)
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert first.image.std() > 10
+def test_the_depth_of_frames_is_exact():
+    views = render_room("train", 3, SIZE, views=2)
     model, data = compiled(generate_room("train", 3).text)
     for view in range(2):
-        camera = RayCamera(SIZE, first.intrinsics[view])
-        depth = camera.cast(model, data, first.position[view], first.rotation[view]).depth
-        np.testing.assert_allclose(depth, first.depth[view].ravel(), atol=1e-6)
+        camera = RayCamera(SIZE, views.intrinsics[view])
+        depth = camera.cast(model, data, views.position[view], views.rotation[view]).depth
+        np.testing.assert_allclose(depth, views.depth[view].ravel(), atol=1e-6)
