@@ -2,22 +2,30 @@
 
 A few hundred depth frames from any sensor:
 python -m eldenet.adapt data.root=my_frames intrinsics=[525,525,319.5,239.5]
+Or a drive with wheel odometry (seconds,x,y,heading):
+python -m eldenet.adapt source=walk.mp4 poses=odometry.csv camera_height=0.4 intrinsics=[525,525,319.5,239.5]
 Or the camera's height above the floor, which must be in view:
 python -m eldenet.adapt source=walk.mp4 camera_height=0.8 intrinsics=[525,525,319.5,239.5]
 """
 
 import math
-from dataclasses import asdict, dataclass, field
+import shutil
+import time
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eldenet.cli.entry_point import entry_point, refuse_unread
-from eldenet.compose import REQUIRED
+from eldenet.compose import REQUIRED, compose
+from eldenet.data.drive_poses import Mount, read_poses
 from eldenet.data.splits import check_folders
 from eldenet.geometry import check_camera_height, intrinsic_matrix
 from eldenet.system.files import sole_writer
 from eldenet.system.resources import choose_resources
 from eldenet.weights import find_checkpoint
+
+if TYPE_CHECKING:
+    from eldenet.deploy.prediction import Source
 
 
 @dataclass(frozen=True)
@@ -36,12 +44,14 @@ class AdaptSettings:
     # [fx, fy, cx, cy] of the pictures on disk [px]; without camera_height also a file, as data.intrinsics
     intrinsics: Any = None
     minutes: float = 10  # about how long the command may take
-    # of the optical center above the floor [m]: only fits the scale, without depth frames
+    # of the optical center above the floor [m]; without poses it only fits the scale
     camera_height: float | None = None
-    # of a camera at a fixed tilt: degrees below the horizon; null: fitted in each frame
+    # of a camera at a fixed tilt: degrees below the horizon; null: fitted in each frame, 0 with poses
     camera_pitch: float | None = None
-    source: str | None = None  # with camera_height: a folder of pictures, or a video
-    frames: int = 200  # with camera_height: largest number of frames to use
+    camera_ahead: float = 0.2  # with poses of a robot: of the optical center before the wheels' axle [m]
+    source: str | None = None  # without depth frames: a folder of pictures, or a video
+    poses: str | None = None  # CSV of the source's drive: seconds,x,y,heading of the robot, or of the camera
+    frames: int = 200  # of source: largest number to use
     force: bool = False  # take a factor of the depth above 3 or below 1/3, which is nearly always a mistake
     seed: int = 0
     trusted_modules: Any = field(default_factory=list)  # packages whose classes foreign weights may name
@@ -49,7 +59,9 @@ class AdaptSettings:
 
     def __post_init__(self) -> None:
         height, pitch = self.camera_height, self.camera_pitch
-        in_files = height is None and isinstance(self.intrinsics, str | dict)  # as data.intrinsics
+        in_files = (
+            height is None and self.poses is None and isinstance(self.intrinsics, str | dict)
+        )  # as data.intrinsics
         if self.intrinsics is not None and not in_files:
             intrinsic_matrix(self.intrinsics)  # a mistake ends before torch is loaded
         if not 0 < self.minutes < math.inf:
@@ -65,7 +77,7 @@ class AdaptSettings:
 
 
 def adapt(s: AdaptSettings) -> bool:
-    """Tune on depth frames, or fit the scale to the camera's height; return whether the result is better.
+    """Tune on depth frames or a drive, or fit the scale to the camera's height; return whether it is better.
 
     ``s.output/model`` holds the weights, whichever are better.
 
@@ -76,14 +88,16 @@ def adapt(s: AdaptSettings) -> bool:
     """
     find_checkpoint(s.weights, "weights", trained=True)
     with sole_writer(Path(s.output)):
+        if s.poses is not None:
+            return _tune(_label(s))
         return _tune(s) if s.camera_height is None else _calibrate(s)
 
 
 def _tune(s: AdaptSettings) -> bool:
     if s.data.get("root") is None and s.data["name"] == "folder":
         raise ValueError(
-            "give data.root=<folder with images/ and depths/>, or camera_height= with source= if you have no "
-            "depth frames"
+            "give data.root=<folder with images/ and depths/>, or source= with poses= or camera_height= if "
+            "you have no depth frames"
         )
     check_folders(s.data)
     from eldenet.training.adaptation import tune
@@ -91,33 +105,63 @@ def _tune(s: AdaptSettings) -> bool:
     return tune(asdict(s), Path(s.output), choose_resources(**s.runtime))
 
 
-def _calibrate(s: AdaptSettings) -> bool:
-    from eldenet.deploy.prediction import find_source
+def _label(s: AdaptSettings) -> AdaptSettings:
+    """Write the depth that a drive's motion tells to ``s.output/labels``; return settings that tune on it."""
+    started = time.monotonic()
+    source = _pictures(s, "poses")
+    mount = None
+    if s.camera_height is not None:
+        mount = Mount(s.camera_height, math.radians(s.camera_pitch or 0.0), s.camera_ahead)
+    poses = read_poses(Path(str(s.poses)).expanduser(), mount)
+    from eldenet.perception.drive_labels import label_drive
+    from eldenet.results.run_log import RunLog
 
-    if s.source is None:
-        raise ValueError(
-            "give source=<folder of pictures, or video>: camera_height needs frames of your camera"
-        )
-    if s.intrinsics is None:
-        raise ValueError(
-            "give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: the floor's height needs them"
-        )
-    source = find_source(s.source, Path(s.output), None)
-    if source.is_live:
-        raise ValueError(f"source={s.source}: give a folder of pictures or a video file, not a camera")
+    labels = Path(s.output) / "labels"
+    shutil.rmtree(labels, ignore_errors=True)  # of a run that was stopped
+    camera = label_drive(source, poses, s.intrinsics, labels, s.frames, RunLog(Path(s.output)))
+    read = {"root": str(labels), "intrinsics": camera, "ground_truth": "sparse"}
+    data = {**s.data, **read, "protocol": {**s.data["protocol"], "ground_truth": "sparse"}}
+    data |= {part: {**s.data[part], **read} for part in ("train", "val", "test")}
+    at_points = compose(AdaptSettings, ["loss=l1_sparse", "loss.terms.l1.space=log"]).loss
+    left = max(s.minutes - (time.monotonic() - started) / 60, s.minutes / 10)
+    return replace(s, data=data, loss=at_points, minutes=left)
+
+
+def _calibrate(s: AdaptSettings) -> bool:
+    source = _pictures(s, "camera_height")
     from eldenet.perception.camera_height import calibrate
 
     return calibrate(asdict(s), source, Path(s.output), choose_resources(**s.runtime))
 
 
+def _pictures(s: AdaptSettings, reader: str) -> "Source":
+    """The pictures or the video of ``source``, which a setting reads."""
+    from eldenet.deploy.prediction import find_source
+
+    if s.source is None:
+        raise ValueError(f"give source=<folder of pictures, or video>: {reader} needs frames of your camera")
+    if s.intrinsics is None:
+        raise ValueError(f"give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: {reader} needs them")
+    source = find_source(s.source, Path(s.output), None)
+    if source.is_live:
+        raise ValueError(f"source={s.source}: give a folder of pictures or a video file, not a camera")
+    return source
+
+
 @entry_point(AdaptSettings)
 def main(s: AdaptSettings) -> None:
     """Refuse settings that the other kind of adaptation reads, then adapt."""
-    if s.camera_height is None:
-        refuse_unread(("source", "frames", "camera_pitch"), "only camera_height= reads it")
+    if s.poses is not None:
+        frames = ("root", "images", "depths", "csv", "confidence", "encoding", "ground_truth", "intrinsics")
+        unread = ("loss", "protocol", *(f"data.{name}" for name in frames))
+        refuse_unread(unread, "poses= makes the frames, from source=")
+    elif s.camera_height is None:
+        refuse_unread(
+            ("source", "frames", "camera_pitch", "camera_ahead"), "only poses= or camera_height= reads it"
+        )
     else:
         unread = ("data", "loss", "optimizer", "scheduler", "augmentation", "trainer", "protocol", "minutes")
-        refuse_unread(unread, "camera_height fits the scale alone, from source=")
+        refuse_unread((*unread, "camera_ahead"), "camera_height fits the scale alone, from source=")
     adapt(s)
 
 

@@ -21,3 +21,21 @@ def test_a_second_adapt_in_one_folder_is_refused(run_command, tmp_path, kind):
         assert finished.returncode == 1
         assert finished.stderr.startswith(f"error: {tmp_path}/run is in use by process ")
         assert [path.name for path in (tmp_path / "run").iterdir()] == [LOCK]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("poses=o.csv", "give source=<folder of pictures, or video>: poses needs frames of your camera"),
+        ("poses=o.csv source=images data.root=.", "data.root: poses= makes the frames, from source="),
+        (
+            "camera_height=1 source=images camera_ahead=0.1",
+            "camera_ahead: camera_height fits the scale alone",
+        ),
+        ("data.root=. camera_ahead=0.1", "camera_ahead: only poses= or camera_height= reads it"),
+    ],
+)
+def test_settings_of_a_drive_that_do_not_fit_are_refused(run_command, tmp_path, words, said):
+    finished = run_command("adapt", *words.split(), "output=run")
+    assert finished.returncode == 1
+    assert finished.stderr.startswith(f"error: {said}")

@@ -57,6 +57,7 @@ def run(words: str, folder: Path, server: CommandServer) -> tuple[subprocess.Com
         "adapt data.root=/nope",
         "adapt data.root=. weights=/nope",
         "adapt source=/nope camera_height=1 intrinsics=[9,9,5,5]",
+        "adapt source=/nope poses=/nope camera_height=1 intrinsics=[9,9,5,5]",
     ],
 )
 def test_a_wrong_path_ends_in_one_line_before_torch_is_loaded(

@@ -1,0 +1,345 @@
+"""Depth of corners that a moving camera sees from several known places.
+
+Around each chosen picture, corners are tracked through earlier and later ones, both ways. A bundle adjustment
+then solves for the depth of all corners and corrects the poses, within what odometry may be wrong: a few
+percent of the way and some tenths of a degree. A corner counts if at least three views agree on it and its
+depth is known to 10 %.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from eldenet.geometry import resize_image, resize_intrinsics
+
+MOST_WIDTH = 640  # of the pictures in which corners are tracked [px]
+CORNERS, CORNER_SPACING = 600, 0.0125  # most in a picture, and how far apart [widths]
+STEP, STEP_TURN = 0.03, 0.05  # between two views [m], [rad]
+NEAREST_VIEW, FARTHEST_VIEW, MOST_TURN = 0.04, 0.6, 0.7  # of a picture's views [m], [m], [rad]
+SIDE_VIEWS = 5  # of a picture, before and after it
+THERE_AND_BACK = 0.7  # by which tracking forth and back may miss a corner [px]
+SAME_POINT = 1.5  # error of a view that agrees [px]
+LEAST_VIEWS, LEAST_SHARE = 3, 0.6  # that agree, and their share of those that saw the corner
+MOST_SIGMA = 0.1  # of ln depth
+NEAR, FAR = 0.15, 12.0  # of depth that is kept [m]
+WAY_ERROR, TURN_ERROR = 0.03, 0.005  # of odometry between two views: share of the way, [rad]
+TRACK_ERROR = 0.5  # of a tracked corner [px]
+HEIGHT_ERROR, PITCH_ERROR = 0.02, 0.012  # of the mount: share of the height, [rad]
+TURN_COUNTS = 0.3  # of a drive: meters that one radian counts
+SWEPT_WIDTH, SWEPT_WINDOW, MOST_DIFFERENCE = 240, 7, 30.0  # of the plane sweep [px], [px], gray levels
+_STARTS = 1 / np.geomspace(NEAR, 25, 40)  # of the search for inverse depth [1/m]
+
+
+class View(NamedTuple):
+    """A picture of a drive.
+
+    Attributes:
+        name: of the frame.
+        image: ``(H, W, 3)`` uint8 RGB, at most ``MOST_WIDTH`` wide.
+        gray: the same in gray, ``(H, W)``.
+        pose: ``(4, 4)`` camera to world [m].
+    """
+
+    name: str
+    image: np.ndarray
+    gray: np.ndarray
+    pose: np.ndarray
+
+
+class Points(NamedTuple):
+    """Corners of a view with known depth.
+
+    Attributes:
+        pixels: ``(N, 2)`` column, row [px].
+        depth: ``(N,)`` [m].
+        sigma: ``(N,)`` of ln depth.
+    """
+
+    pixels: np.ndarray
+    depth: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
+class MotionDepth:
+    """Finds depth along a drive.
+
+    Args:
+        intrinsics: ``(3, 3)`` of the pictures that are given [px].
+        size: ``(height, width)`` of these [px].
+        floor: height of the camera above a world's floor at z = 0 [m]; None: the floor is not known.
+    """
+
+    intrinsics: np.ndarray
+    size: tuple[int, int]
+    floor: float | None = None
+
+    @property
+    def seen_size(self) -> tuple[int, int]:
+        """``(height, width)`` [px] of the views."""
+        scale = min(1.0, MOST_WIDTH / self.size[1])
+        return round(self.size[0] * scale), round(self.size[1] * scale)
+
+    @property
+    def seen_intrinsics(self) -> np.ndarray:
+        """``(3, 3)`` [px] of the views."""
+        return resize_intrinsics(self.intrinsics, self.size, self.seen_size)
+
+    def view(self, name: str, picture: np.ndarray, pose: np.ndarray) -> View:
+        """Return a picture ``(H, W, 3)`` uint8 RGB at a pose ``(4, 4)`` as a view."""
+        image = resize_image(picture, self.seen_size)
+        return View(name, image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), pose)
+
+    def along(self, views: Iterable[View], spacing: float) -> Iterator[tuple[View, Points]]:
+        """Yield a view each ``spacing`` [m] of travel with its points; few views are kept in memory."""
+        window: deque[tuple[float, View]] = deque()
+        waiting: deque[tuple[float, View]] = deque()
+        travel, due = 0.0, 0.0
+        for view in views:
+            if window:
+                way, turn = apart(window[-1][1].pose, view.pose)
+                if way < STEP and turn < STEP_TURN:
+                    continue
+                travel += way + TURN_COUNTS * turn
+            window.append((travel, view))
+            if travel >= due:
+                waiting.append(window[-1])
+                due = travel + spacing
+            while waiting and travel - waiting[0][0] > 2 * FARTHEST_VIEW:
+                yield self._solved(waiting.popleft(), window)
+            first = waiting[0][0] if waiting else travel
+            while window[0][0] < first - 2 * FARTHEST_VIEW:
+                window.popleft()
+        for one in waiting:
+            yield self._solved(one, window)
+
+    def _solved(self, one: tuple[float, View], window: Iterable[tuple[float, View]]) -> tuple[View, Points]:
+        travel, view = one
+        earlier = [other for at, other in reversed(list(window)) if at < travel]
+        later = [other for at, other in window if at > travel]
+        return view, self.points(view, earlier, later)
+
+    def points(self, view: View, earlier: Iterable[View], later: Iterable[View]) -> Points:
+        """Return the points of a view, given views before and after it, the nearest first."""
+        none = Points(np.empty((0, 2)), np.empty(0), np.empty(0))
+        spacing = max(3, CORNER_SPACING * view.gray.shape[1])
+        corners = cv2.goodFeaturesToTrack(view.gray, CORNERS, 0.001, spacing)
+        if corners is None:
+            return none
+        corners = corners[:, 0]
+        sides = [chosen_views(view, side) for side in (earlier, later)]
+        if not any(sides):
+            return none
+        inverse = np.linalg.inv(self.seen_intrinsics)
+        others = [*sides[0], *sides[1]]
+        seen = track(view, others, corners, self.seen_intrinsics)
+        motions = [np.linalg.inv(other.pose) @ view.pose for other in others]
+        rays = (homogeneous(corners) @ inverse.T)[:, :2]
+        observed = np.stack([(homogeneous(points) @ inverse.T)[:, :2] for points in seen])
+        solved, sigma = bundle(rays, observed, np.stack(motions), float(self.seen_intrinsics[0, 0]))
+        if self.floor is not None:
+            solved, sigma = beside_floor(solved, sigma, rays, view.pose[:3, :3], self.floor)
+        kept = (sigma < MOST_SIGMA * solved) & (solved > 1 / FAR) & (solved < 1 / NEAR)
+        return Points(corners[kept], 1 / solved[kept], sigma[kept] / solved[kept])
+
+
+def homogeneous(points: np.ndarray) -> np.ndarray:
+    """Points ``(N, 2)`` as ``(N, 3)`` with a last 1, float64."""
+    return np.column_stack([points, np.ones(len(points))]).astype(np.float64)
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Way [m] and turn [rad] between two poses ``(4, 4)``."""
+    cosine = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1) / 2
+    return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def chosen_views(view: View, others: Iterable[View]) -> list[View]:
+    """Return views at growing distance from ``view``, of others in the order of their distance in time."""
+    found: list[View] = []
+    least = NEAREST_VIEW
+    for other in others:
+        way, turn = apart(view.pose, other.pose)
+        if way > FARTHEST_VIEW or turn > MOST_TURN or len(found) == SIDE_VIEWS:
+            break
+        if way >= least:
+            found.append(other)
+            least = max(1.3 * way, way + STEP)
+    return found
+
+
+def track(
+    view: View, others: Sequence[View], corners: np.ndarray, intrinsics: np.ndarray
+) -> list[np.ndarray]:
+    """Return where corners ``(N, 2)`` [px] of a view lie in each other view; NaN where they are lost.
+
+    The search starts where the depth of :func:`sweep` puts a corner.
+    """
+    options: dict[str, Any] = {"winSize": (15, 15), "maxLevel": 1, "criteria": (3, 20, 0.03)}
+    options["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
+    given = np.ascontiguousarray(corners[:, None], np.float32)
+    inverse = sweep(view, others, corners, intrinsics)
+    rays = homogeneous(corners) @ np.linalg.inv(intrinsics).T
+    height, width = view.gray.shape
+    found = []
+    for other in others:
+        motion = np.linalg.inv(other.pose) @ view.pose
+        moved = (rays @ motion[:3, :3].T + inverse[:, None] * motion[:3, 3]) @ intrinsics.T
+        start = moved[:, :2] / np.maximum(moved[:, 2:], 0.05)
+        guess = np.ascontiguousarray(start[:, None], np.float32)
+        there, ok, _ = cv2.calcOpticalFlowPyrLK(view.gray, other.gray, given, guess.copy(), **options)
+        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(
+            other.gray, view.gray, there, given + there - guess, **options
+        )
+        inside = (there[:, 0] > 1).all(1) & (there[:, 0] < (width - 2, height - 2)).all(1)
+        misses = np.linalg.norm((back - given)[:, 0], axis=1)
+        good = (np.hstack([ok, ok_back]) > 0).all(1) & (misses < THERE_AND_BACK) & inside
+        found.append(np.where(good[:, None], there[:, 0].astype(np.float64), np.nan))
+    return found
+
+
+def sweep(view: View, others: Sequence[View], corners: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+    """Return the inverse depth ``(N,)`` [1/m] of a grid at which the other views look most alike at corners.
+
+    Each view is warped as if all were a plane at one depth (plane sweep); the better half of them counts.
+    """
+    size = tuple(max(1, round(side * min(1.0, SWEPT_WIDTH / view.gray.shape[1]))) for side in view.gray.shape)
+    matrix = resize_intrinsics(intrinsics, view.gray.shape, size)
+    rest = np.linalg.inv(matrix)
+    at = (corners + 0.5) * size[1] / view.gray.shape[1] - 0.5
+    columns, rows = np.rint(at).astype(int).T
+    columns, rows = columns.clip(0, size[1] - 1), rows.clip(0, size[0] - 1)
+    now = _flattened(view.gray, size)
+    costs = np.empty((len(others), len(_STARTS), len(corners)), np.float32)
+    for number, other in enumerate(others):
+        motion = np.linalg.inv(other.pose) @ view.pose
+        then = _flattened(other.gray, size)
+        for place, inverse in enumerate(_STARTS):
+            plane = motion[:3, :3] + inverse * np.outer(motion[:3, 3], (0, 0, 1))
+            warped = cv2.warpPerspective(
+                then,
+                matrix @ plane @ rest,
+                size[::-1],
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                borderValue=MOST_DIFFERENCE * 4,
+            )
+            difference = np.minimum(np.abs(warped - now), MOST_DIFFERENCE)
+            costs[number, place] = cv2.blur(difference, (SWEPT_WINDOW, SWEPT_WINDOW))[rows, columns]
+    half = np.sort(costs, axis=0)[: (len(others) + 1) // 2].mean(axis=0)
+    return np.asarray(_STARTS[half.argmin(axis=0)])
+
+
+def _flattened(gray: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A gray picture at another size without its local mean, float32, so that exposure does not count."""
+    small = cv2.resize(gray, size[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
+    return small - cv2.blur(small, (15, 15))
+
+
+def bundle(
+    rays: np.ndarray, seen: np.ndarray, motions: np.ndarray, focal: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve for inverse depth, with poses that are known up to odometry's errors.
+
+    Args:
+        rays: ``(N, 2)`` of points in the view, x / z and y / z.
+        seen: ``(V, N, 2)`` the same in the other views; NaN where a point is lost.
+        motions: ``(V, 4, 4)`` from the view to each other view [m].
+        focal: pixels per unit of ``rays``.
+
+    Returns:
+        Inverse depth ``(N,)`` [1/m] and its sigma, infinite where too few views agree.
+    """
+    count, points = len(motions), homogeneous(rays)
+    turns, ways = motions[:, :3, :3].copy(), motions[:, :3, 3].copy()
+    known = np.isfinite(seen).all(-1)
+    seen = np.where(known[..., None], seen, 0.0)
+    inverse = _first_guess(points, seen, known, turns, ways, 4 / focal)
+    lengths = np.linalg.norm(ways, axis=1)
+    prior = np.repeat(np.column_stack([np.full(count, TURN_ERROR), WAY_ERROR * lengths]), 3, axis=1) ** -2.0
+    moved = np.zeros((count, 6))  # turn [rad] and way [m] so far
+    for trial in range(10):
+        width = (3.0 if trial < 4 else 1.0) / focal
+        error, by_inverse, by_pose = _errors(points, inverse, seen, turns, ways)
+        squared = (error**2).sum(-1)
+        weight = known / (1 + squared / width**2) ** 2 * (focal / TRACK_ERROR) ** 2
+        of_point = (weight[..., None] * by_inverse**2).sum((0, 2)) + 1e-9
+        across = np.einsum("vn,vnk,vnkp->vpn", weight, by_inverse, by_pose).reshape(6 * count, -1)
+        of_pose = np.einsum("vn,vnkp,vnkq->vpq", weight, by_pose, by_pose)
+        matrix = np.zeros((6 * count, 6 * count))
+        for v in range(count):
+            matrix[6 * v : 6 * v + 6, 6 * v : 6 * v + 6] = of_pose[v] + np.diag(prior[v])
+        right_point = -(weight[..., None] * by_inverse * error).sum((0, 2))
+        right_pose = -np.einsum("vn,vnk,vnkp->vp", weight, error, by_pose) - prior * moved
+        reduced = matrix - (across / of_point) @ across.T
+        step = np.linalg.solve(reduced, right_pose.ravel() - across @ (right_point / of_point))
+        inverse = inverse + np.clip((right_point - across.T @ step) / of_point, -0.3 * inverse, 0.5 * inverse)
+        for v, change in enumerate(step.reshape(count, 6)):
+            turns[v] = cv2.Rodrigues(change[:3])[0] @ turns[v]
+            ways[v] += change[3:]
+            moved[v] += change
+    error = _errors(points, inverse, seen, turns, ways)[0]
+    agrees = known & (np.linalg.norm(error, axis=-1) * focal < SAME_POINT)
+    variance = 1 / of_point
+    variance += np.einsum("pn,pn->n", across, np.linalg.solve(reduced, across)) / of_point**2
+    enough = (agrees.sum(0) >= min(LEAST_VIEWS, max(2, count))) & (
+        agrees.sum(0) >= LEAST_SHARE * known.sum(0)
+    )
+    return inverse, np.where(enough, np.sqrt(variance), np.inf)
+
+
+def _first_guess(
+    points: np.ndarray, seen: np.ndarray, known: np.ndarray, turns: np.ndarray, ways: np.ndarray, width: float
+) -> np.ndarray:
+    """The inverse depth of a grid that most views agree on, errors above ``width`` counting alike."""
+    costs = []
+    for start in _STARTS:
+        error = _errors(points, np.full(len(points), start), seen, turns, ways)[0]
+        costs.append((known * np.minimum((error**2).sum(-1), width**2)).sum(0))
+    return np.asarray(_STARTS[np.argmin(costs, axis=0)])
+
+
+def _errors(
+    points: np.ndarray, inverse: np.ndarray, seen: np.ndarray, turns: np.ndarray, ways: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors ``(V, N, 2)``, their change with inverse depth and with the pose ``(V, N, 2, 6)``."""
+    turned = points @ turns.transpose(0, 2, 1)
+    moved = inverse[:, None] * ways[:, None]
+    x, y, z = np.moveaxis(turned + moved, -1, 0)
+    z = np.maximum(z, 0.05)
+    u, v, zero = x / z, y / z, np.zeros_like(z)
+    error = np.stack([u, v], axis=-1) - seen
+    by_point = np.stack([np.stack([1 / z, zero, -u / z], -1), np.stack([zero, 1 / z, -v / z], -1)], axis=-2)
+    a, b, c = np.moveaxis(turned, -1, 0)  # d (exp(w) t) / dw = -[t]x
+    by_turn = np.stack(
+        [np.stack([zero, c, -b], -1), np.stack([-c, zero, a], -1), np.stack([b, -a, zero], -1)], axis=-2
+    )
+    by_pose = np.concatenate([by_point @ by_turn, by_point * inverse[:, None, None]], axis=-1)
+    return error, np.einsum("vnkp,vp->vnk", by_point, ways), by_pose
+
+
+def beside_floor(
+    inverse: np.ndarray, sigma: np.ndarray, rays: np.ndarray, rotation: np.ndarray, height: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Put points that may lie on the floor nearer to it, and give up points below it.
+
+    Args:
+        inverse: depth ``(N,)`` [1/m].
+        sigma: of it.
+        rays: ``(N, 2)``.
+        rotation: world from camera ``(3, 3)``, z up.
+        height: of the camera [m].
+    """
+    down = -(homogeneous(rays) @ rotation.T)[:, 2]
+    floor = down / height
+    error = np.hypot(PITCH_ERROR, HEIGHT_ERROR * down) / height
+    both = np.hypot(sigma, error)
+    on_floor = np.isfinite(sigma) & (down > 0) & (np.abs(inverse - floor) < 2 * both)
+    share = np.where(np.isfinite(sigma), sigma, 1.0) ** 2 / both**2
+    below = inverse < floor - 3 * both
+    fused = np.where(on_floor, inverse + share * (floor - inverse), inverse)
+    spread = np.where(on_floor, error * np.sqrt(share), sigma)
+    return fused, np.where(below, np.inf, spread)

@@ -1,0 +1,201 @@
+"""Where a camera was during a drive, by the robot's wheel odometry or by any tracker's camera poses."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from eldenet.data.paths import natural_order
+from eldenet.geometry import level_rotation
+from eldenet.system.files import read_table, read_text
+
+BASE = ("x", "y", "heading")
+MATRIX = tuple(f"m{row}{column}" for row in range(3) for column in range(4))
+NAMES = ("image", "rgb")  # columns that name the picture of a row
+ALLOWED = (
+    "seconds,x,y,heading (of the robot's base: meters, radians), or m00 ... m23 (camera to world, meters) "
+    "with a column seconds, image or rgb"
+)
+LEAST_WAY = 1.0  # of a drive [m]
+FASTEST, FASTEST_TURN = 10.0, 4.0  # of a drive on average [m/s], [rad/s]
+LONGEST_STEP = 5.0  # between two pictures whose poses have no times [m]
+LARGEST_GAP = 0.5  # between two poses of which one is interpolated [s]
+_BASE_FROM_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+class Mount(NamedTuple):
+    """How a camera is mounted on a robot.
+
+    Attributes:
+        height: of the optical center above the floor [m].
+        pitch: of the optical axis below the horizon [rad].
+        ahead: of the optical center before the point whose pose odometry gives [m].
+    """
+
+    height: float
+    pitch: float = 0.0
+    ahead: float = 0.0
+
+
+@dataclass(frozen=True)
+class DrivePoses:
+    """The camera's poses, in the order of their rows.
+
+    Attributes:
+        path: the file.
+        cameras: ``(N, 4, 4)`` camera to world [m].
+        seconds: ``(N,)`` when [s], or None.
+        names: of the pictures, or None.
+        mount: of a camera on a robot, whose world has its floor at z = 0; None: the world is any.
+    """
+
+    path: Path
+    cameras: np.ndarray
+    seconds: np.ndarray | None
+    names: tuple[str, ...] | None
+    mount: Mount | None
+
+    def of_pictures(self, paths: Sequence[Path]) -> list[np.ndarray | None]:
+        """Return the pose ``(4, 4)`` of each picture, by name if the file has names, else by order.
+
+        Raises:
+            ValueError: fewer than half of the pictures have a pose, or numbers differ.
+        """
+        if self.names is None:
+            if len(paths) != len(self.cameras):
+                raise ValueError(
+                    f"{self.path} has {len(self.cameras)} poses for {len(paths)} pictures: give one row per "
+                    "picture, in their order, or name the picture of each row in a column image"
+                )
+            return list(self.cameras)
+        known = {Path(name).name: pose for name, pose in zip(self.names, self.cameras, strict=True)}
+        found = [known.get(path.name) for path in paths]
+        count = sum(pose is not None for pose in found)
+        if 2 * count < len(paths):
+            raise ValueError(
+                f"{self.path} has poses of {count} of {len(paths)} pictures, such as {self.names[0]}: name "
+                f"pictures such as {paths[0].name}"
+            )
+        return found
+
+    def at(self, seconds: float) -> np.ndarray | None:
+        """Return the pose ``(4, 4)`` at a time [s], interpolated; None where there are no poses near."""
+        times = self.seconds
+        if times is None or not times[0] <= seconds <= times[-1]:
+            return None
+        after = min(max(1, int(np.searchsorted(times, seconds))), len(times) - 1)
+        if times[after] - times[after - 1] > LARGEST_GAP:
+            nearest = after if seconds - times[after - 1] > times[after] - seconds else after - 1
+            return self.cameras[nearest] if abs(times[nearest] - seconds) < LARGEST_GAP / 50 else None
+        from scipy.spatial.transform import Rotation, Slerp
+
+        span = times[after - 1 : after + 1]
+        share = (seconds - span[0]) / (span[1] - span[0])
+        before, next_one = self.cameras[after - 1], self.cameras[after]
+        pose = (1 - share) * before + share * next_one
+        turns = Rotation.from_matrix(np.stack([before[:3, :3], next_one[:3, :3]]))
+        pose[:3, :3] = Slerp(span, turns)([seconds]).as_matrix()[0]
+        return np.asarray(pose)
+
+
+def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
+    """Read a CSV file of poses.
+
+    Convention: x ahead, y left, heading counter-clockwise (REP 103); cameras x right, y down, z forward.
+
+    Args:
+        path: of the file: rows in the order of time.
+        mount: of the camera; poses of a robot's base need it.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: columns are missing, numbers are not finite, times do not increase, units look wrong, or
+            the camera does not drive.
+    """
+    header = read_text(path, "give a CSV file of poses").partition("\n")[0].strip()
+    columns = [name.strip() for name in header.split(",")]
+    of_base = all(name in columns for name in BASE)
+    if not of_base and not all(name in columns for name in MATRIX):
+        raise ValueError(f"{path} has the columns {header[:200]!r}: give {ALLOWED}")
+    if of_base and mount is None:
+        raise ValueError(
+            f"{path} has poses of a robot's base: give camera_height= [m] and camera_pitch= [degrees]"
+        )
+    if mount is not None and not of_base:
+        raise ValueError(f"{path} has poses of the camera itself: leave out camera_height and camera_pitch")
+    label = next((name for name in NAMES if name in columns), None)
+    with_times = "seconds" in columns
+    numbers = [*(BASE if of_base else MATRIX), *(["seconds"] if with_times else [])]
+    table = read_table(path, numbers)
+    if len(table) < 2:
+        raise ValueError(f"{path} has {len(table)} poses: give one for each picture, or for each 0.1 s")
+    values = np.array([[_number(row[name], name, path, line) for name in numbers]
+                       for line, row in enumerate(table, 2)])  # fmt: skip
+    seconds = values[:, -1] if with_times else None
+    if seconds is not None and (back := np.flatnonzero(np.diff(seconds) <= 0)).size:
+        raise ValueError(f"{path}, line {back[0] + 3}: seconds do not increase: sort the rows by time")
+    if of_base:
+        _check_way(path, values[:, :2], values[:, 2], seconds)
+        cameras = np.stack([_on_robot(pose, mount or Mount(0.0)) for pose in values[:, :3]])
+    else:
+        cameras = np.tile(np.eye(4), (len(values), 1, 1))
+        cameras[:, :3] = values[:, :12].reshape(-1, 3, 4)
+        turns = cameras[:, :3, :3]
+        squares = turns @ turns.transpose(0, 2, 1)
+        if np.abs(squares - np.eye(3)).max() > 0.01 or np.linalg.det(turns).min() < 0:
+            raise ValueError(f"{path}: m00 ... m22 are no rotations: give camera to world, row by row")
+        _check_way(path, cameras[:, :3, 3], None, seconds)
+    names = None if label is None else tuple(row[label] for row in table)
+    return DrivePoses(path, cameras, seconds, names, mount if of_base else None)
+
+
+def _number(text: str, column: str, path: Path, line: int) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{path}, line {line}: {column} is {text[:40]!r}: give a finite number")
+    return value
+
+
+def _on_robot(pose: np.ndarray, mount: Mount) -> np.ndarray:
+    """The camera ``(4, 4)`` of a robot at x, y [m], heading [rad]."""
+    x, y, heading = pose
+    c, s = math.cos(heading), math.sin(heading)
+    camera = np.eye(4)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    camera[:3, :3] = turn @ _BASE_FROM_LEVEL @ level_rotation(mount.pitch)
+    camera[:3, 3] = x + mount.ahead * c, y + mount.ahead * s, mount.height
+    return camera
+
+
+def _check_way(
+    path: Path, places: np.ndarray, heading: np.ndarray | None, seconds: np.ndarray | None
+) -> None:
+    """Refuse places ``(N, 2 or 3)`` and headings ``(N,)`` that no drive has."""
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    duration = None if seconds is None else seconds[-1] - seconds[0]
+    usual = steps.sum() / duration if duration else float(np.median(steps))
+    if usual > (FASTEST if duration else LONGEST_STEP):
+        per = "per second" if duration else "from row to row"
+        raise ValueError(f"{path} moves {usual:.3g} m {per}: give meters; divide millimeters by 1000")
+    turned = 0.0 if heading is None else float(np.abs(np.diff(np.unwrap(heading))).sum())
+    if duration and turned / duration > FASTEST_TURN:
+        raise ValueError(
+            f"{path} turns {turned / duration:.3g} rad per second: give heading in radians, not degrees"
+        )
+    if steps.sum() < LEAST_WAY or np.ptp(places, axis=0).max() < LEAST_WAY / 2:
+        turning = f" and turns {math.degrees(turned):.0f} degrees" if turned > 1 else ""
+        raise ValueError(
+            f"{path} moves {steps.sum():.2g} m{turning}: drive at least {LEAST_WAY:g} m, because depth comes "
+            "from seeing things from several places; turning on the spot shows none"
+        )
+
+
+def in_order(paths: Sequence[Path]) -> list[Path]:
+    """Return pictures in the order of time, which is that of their names."""
+    return sorted(paths, key=lambda path: natural_order(path.name))

@@ -1,0 +1,125 @@
+"""The depth that a drive's own motion tells, as a folder of sparse frames for ``eldenet adapt``."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from eldenet.data.depth_from_motion import TURN_COUNTS, MotionDepth, View, apart
+from eldenet.data.drive_poses import DrivePoses, in_order
+from eldenet.data.frame_files import seconds_of
+from eldenet.data.io import read_image
+from eldenet.deploy.prediction import Source
+from eldenet.deploy.video_files import VideoFile
+from eldenet.geometry import check_intrinsics, intrinsic_matrix, nearest_points
+from eldenet.results.run_log import RunLog
+from eldenet.visualization import write_picture
+
+LEAST_POINTS = 50  # of a frame
+LEAST_FRAMES = 30
+LEAST_SPACING = 0.05  # of labeled pictures [m]
+
+Placed = tuple[str, np.ndarray, np.ndarray]
+"""Name, picture ``(H, W, 3)`` uint8 RGB and pose ``(4, 4)`` of a frame."""
+
+
+def label_drive(
+    source: Source, poses: DrivePoses, intrinsics: object, folder: Path, most: int, log: RunLog
+) -> list[float]:
+    """Write ``images/`` and ``depths/`` (16-bit PNG [mm]); return fx, fy, cx, cy of the written pictures.
+
+    Args:
+        source: pictures in the order of time, or a video.
+        poses: of the camera during the drive.
+        intrinsics: of the source's pictures [px].
+        folder: to write to.
+        most: pictures to write, about.
+        log: for progress.
+
+    Raises:
+        ValueError: pictures and poses do not fit, or too few pictures show enough points.
+    """
+    matrix = intrinsic_matrix(intrinsics)  # type: ignore[arg-type]
+    placed = place_frames(source, poses)
+    first = next(placed)
+    size = (first[1].shape[0], first[1].shape[1])
+    check_intrinsics(matrix, size)
+    depth = MotionDepth(matrix, size, None if poses.mount is None else poses.mount.height)
+    steps = [apart(*pair) for pair in zip(poses.cameras[:-1], poses.cameras[1:], strict=True)]
+    travel = sum(way + TURN_COUNTS * turn for way, turn in steps)
+    counts: list[int] = []
+    written = 0
+
+    def views() -> Iterator[View]:
+        for name, picture, pose in (first, *placed):
+            if picture.shape[:2] != size:
+                raise ValueError(f"{name} is {picture.shape[:2]}, the first picture {size}: give one size")
+            yield depth.view(name, picture, pose)
+
+    with log.bar("depth from motion", most) as bar:
+        for view, points in depth.along(views(), max(LEAST_SPACING, travel / most)):
+            counts.append(len(points.depth))
+            if counts[-1] >= LEAST_POINTS:
+                columns, rows = np.rint(points.pixels).astype(np.int64).T
+                known = nearest_points(rows, columns, points.depth, depth.seen_size)
+                write_picture(folder / f"images/{written:06d}.png", view.image)
+                write_picture(folder / f"depths/{written:06d}.png", np.rint(known * 1000).astype(np.uint16))
+                written += 1
+            bar.advance(1)
+    if written < LEAST_FRAMES:
+        raise ValueError(
+            f"the motion tells the depth of {LEAST_POINTS} corners or more in {written} of {len(counts)} "
+            f"pictures (median {np.median(counts):.0f} corners): {LEAST_FRAMES} pictures are needed. Drive "
+            "on among things with texture, with several pictures per 0.1 m, and check that poses and "
+            "pictures have one clock, the unit of the poses, camera_pitch and intrinsics"
+        )
+    log.say(
+        f"{written} of {len(counts)} pictures along {travel:.1f} m have {LEAST_POINTS} or more corners of "
+        f"known depth (median {np.median(counts):.0f})"
+    )
+    seen = depth.seen_intrinsics
+    return [float(seen[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]
+
+
+def place_frames(source: Source, poses: DrivePoses) -> Iterator[Placed]:
+    """Yield the frames whose pose is known, in the order of time.
+
+    Raises:
+        ValueError: poses have no times, none falls into the video, or pictures and poses do not fit.
+    """
+    if source.is_video:
+        (file,) = source.names
+        yield from _of_video(Path(file), poses)
+        return
+    paths = in_order([Path(path) for path in source.names])
+    times = [seconds_of(path.stem) for path in paths]
+    if poses.seconds is not None and poses.names is None and None not in times:
+        known = [poses.at(time) for time in times if time is not None]
+        _refuse_no_overlap(poses, known, times[0] or 0.0, times[-1] or 0.0)
+    else:
+        known = poses.of_pictures(paths)
+    for path, pose in zip(paths, known, strict=True):
+        if pose is not None:
+            yield path.name, read_image(path, upright=True), pose
+
+
+def _of_video(path: Path, poses: DrivePoses) -> Iterator[Placed]:
+    if poses.seconds is None:
+        raise ValueError(f"{poses.path} has no column seconds: a video needs the times of its poses")
+    known: list[np.ndarray | None] = []
+    time = 0.0
+    for number, (picture, time) in enumerate(VideoFile(path).frames()):
+        known.append(poses.at(time))
+        pose = known[-1]
+        if pose is not None:
+            yield f"{number:06d}", picture, pose
+    _refuse_no_overlap(poses, known, 0.0, time)
+
+
+def _refuse_no_overlap(poses: DrivePoses, known: list[np.ndarray | None], first: float, last: float) -> None:
+    if poses.seconds is not None and all(pose is None for pose in known):
+        raise ValueError(
+            f"{poses.path} has poses from {poses.seconds[0]:.2f} to {poses.seconds[-1]:.2f} s, the pictures "
+            f"are from {first:.2f} to {last:.2f} s: give seconds of one clock (a video's begin at 0), at "
+            "least two poses per second"
+        )

@@ -1,0 +1,109 @@
+"""A drive with odometry tunes weights as depth frames do, or is refused in one line."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import eldenet
+from eldenet.adapt import AdaptSettings, adapt
+from eldenet.compose import compose
+from eldenet.data.drive_poses import Mount, read_poses
+from eldenet.data.io import read_depth
+from eldenet.deploy.video_files import open_video
+from eldenet.geometry import pinhole
+
+SIZE, LENS = (96, 128), (100.0, 100.0, 63.5, 47.5)
+PER_SECOND, SPEED = 10, 0.4  # pictures per second, [m/s]
+TEXTURE = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+TEXTURE = np.tile(cv2.resize(TEXTURE, (512, 512), interpolation=cv2.INTER_CUBIC), (2, 2, 1))
+#: normal and offset of floor, walls and the end of a corridor: ``normal @ point = offset``
+PLANES = (((0, 0, 1), 0.0), ((0, 1, 0), 0.8), ((0, 1, 0), -0.9), ((1, 0, 0), 9.0))
+
+
+def corridor(camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Picture ``(H, W, 3)`` and depth ``(H, W)`` [m] of a camera ``(4, 4)`` in a corridor along x."""
+    columns, rows = np.meshgrid(np.arange(SIZE[1]), np.arange(SIZE[0]))
+    rays = np.stack([columns, rows, np.ones(SIZE)], -1) @ np.linalg.inv(pinhole(*LENS)).T
+    rays = rays @ camera[:3, :3].T
+    depth, image = np.full(SIZE, np.inf), np.zeros((*SIZE, 3), np.uint8)
+    for number, (normal, offset) in enumerate(PLANES):
+        toward = rays @ np.array(normal)
+        hit = (offset - camera[:3, 3] @ normal) / np.where(toward == 0, 1e-9, toward)
+        world = rays * hit[..., None] + camera[:3, 3]
+        u, v = [axis for axis in range(3) if not normal[axis]]
+        at = ((world[..., [u, v]] * 110 + 70 * number) % 900).astype(np.float32)
+        nearer = (hit > 0) & (hit < depth)
+        image[nearer] = cv2.remap(TEXTURE, at[..., 0], at[..., 1], cv2.INTER_LINEAR)[nearer]
+        depth = np.where(nearer, hit, depth)
+    return image, depth
+
+
+def drive(folder: Path, seconds: float = 15.0) -> np.ndarray:
+    """Write ``odometry.csv`` and ``walk.mp4`` of a robot in the corridor; return the cameras."""
+    times = np.arange(0, seconds, 1 / PER_SECOND)
+    heading = 0.3 * np.sin(times)
+    steps = SPEED / PER_SECOND * np.column_stack([np.cos(heading), np.sin(heading)])
+    places = np.cumsum(steps, axis=0) - steps[0]
+    rows = np.column_stack([times, places, heading]).round(5)
+    lines = ["seconds,x,y,heading", *(",".join(map(str, row)) for row in rows)]
+    (folder / "odometry.csv").write_text("\n".join(lines))
+    cameras = read_poses(folder / "odometry.csv", Mount(0.4, 0.15, 0.1)).cameras
+    with open_video(folder / "walk.mp4", PER_SECOND) as add:
+        for camera in cameras:
+            add(corridor(camera)[0])
+    return cameras
+
+
+def setup(folder: Path, *overrides: str) -> AdaptSettings:
+    torch.manual_seed(0)
+    model = eldenet.load("eldenet_s", overrides=["model/head=linear", "model.head.max_depth=12"])
+    model.info = {"input_size": [48, 64]}
+    model.save_pretrained(folder / "start")
+    given = [f"source={folder / 'walk.mp4'}", f"poses={folder / 'odometry.csv'}", "camera_height=0.4"]
+    given += ["camera_pitch=8.6", "camera_ahead=0.1", f"intrinsics={list(LENS)}", "force=true"]
+    given += [f"weights={folder / 'start'}", "runtime.threads=1", "runtime.workers=0", "trainer.epochs=2"]
+    return compose(AdaptSettings, [*given, *overrides, f"output={folder / 'run'}"])
+
+
+def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path, capsys):
+    cameras = drive(tmp_path)
+    kept = adapt(setup(tmp_path))
+    record = json.loads((tmp_path / "run/run.json").read_text())
+    assert record["kept"] is kept
+    assert "held_out" in record
+    assert "corners of known depth" in capsys.readouterr().out
+    maps = sorted((tmp_path / "run/labels/depths").iterdir())
+    assert len(maps) >= 40
+    shown = [corridor(camera) for camera in cameras]
+    errors = []
+    for path in maps[::8]:
+        image = cv2.imread(str(tmp_path / "run/labels/images" / path.name))[..., ::-1].astype(float)
+        alike = [np.abs(image - picture).mean() for picture, _ in shown]
+        found, truth = read_depth(path, "mm"), shown[int(np.argmin(alike))][1]
+        known = found > 0
+        errors.append(np.abs(np.log(found[known] / truth[known])))
+    assert np.median(np.concatenate(errors)) < 0.05
+    assert np.percentile(np.concatenate(errors), 90) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda row: [row[0] + 1.7e9, *row[1:]], r"poses from 1700000000.00 to .* pictures are from 0.00"),
+        (lambda row: [row[0], *np.random.default_rng(int(10 * row[0])).normal(0, 0.3, 2), row[3]],
+         r"in \d+ of \d+ pictures .*: 30 pictures are needed. Drive on"),
+    ],
+)  # fmt: skip
+def test_poses_that_do_not_fit_the_video_are_refused(tmp_path, change, said):
+    drive(tmp_path, seconds=6.0)
+    path = tmp_path / "odometry.csv"
+    header, *lines = path.read_text().splitlines()
+    rows = [change([float(cell) for cell in line.split(",")]) for line in lines]
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]))
+    with pytest.raises(ValueError, match=said):
+        adapt(setup(tmp_path))
+    assert not (tmp_path / "run/model").exists()
