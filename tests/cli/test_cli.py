@@ -1,10 +1,7 @@
 """The commands as a user types them: from another folder, with a typo, resumed, swept, reported."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -128,7 +125,7 @@ def test_a_damaged_picture_is_one_line_also_where_workers_read_it(run_command, t
 def test_a_wrong_setting_is_refused_before_frames_are_rendered(run_command, tmp_path, wrong):
     words = [wrong] if isinstance(wrong, str) else wrong
     cache = tmp_path / "empty"
-    finished = run_command("train", *words, ELDENET_CACHE=str(cache))
+    finished = run_command("train", *words, "runtime.workers=0", ELDENET_CACHE=str(cache))
     assert finished.returncode == 1
     assert words[0].partition("=")[2] in finished.stderr
     assert not cache.exists()
@@ -145,15 +142,16 @@ def test_frames_that_cannot_be_scored_are_refused_before_the_first_epoch(tmp_pat
     root = layouts.folder(tmp_path / "data")
     words = ["data=folder", f"data.root={root}", "model=eldenet_s", "model_name=s", "protocol=folder", rule]
     with pytest.raises(ValueError, match=re.escape(message)):
-        train(compose(TrainSettings, [*words, f"output={tmp_path / 'run'}"]))
+        train(compose(TrainSettings, [*words, f"output={tmp_path / 'run'}", "runtime.workers=0"]))
     assert not (tmp_path / "run" / "checkpoints").exists()
 
 
 def test_a_mistake_leaves_no_empty_run_behind(run_command, tmp_path):
-    assert run_command("train", "trainer.monitor=accuracy").returncode == 1
+    wrong = ("train", "trainer.monitor=accuracy", "runtime.workers=0")
+    assert run_command(*wrong).returncode == 1
     assert not list(tmp_path.glob("runs/*"))
     (tmp_path / "mine").mkdir()
-    assert run_command("train", "trainer.monitor=accuracy", "output=mine").returncode == 1
+    assert run_command(*wrong, "output=mine").returncode == 1
     assert (tmp_path / "mine").is_dir()  # named by the user
     assert run_command("report", "runs=[nowhere]", cwd=tmp_path / "mine").returncode == 1
     assert (tmp_path / "mine").is_dir()  # where a command without a run folder was typed
@@ -227,22 +225,14 @@ def test_a_sweep_continues_after_a_failed_job(run_command, tmp_path):
     assert (tmp_path / "sweep" / "1" / "run.json").is_file()
 
 
-def test_two_processes_train_to_the_end_and_write_one_run(cache, tmp_path):
-    finished = subprocess.run(
-        [
-            *(sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--standalone"),
-            *("-m", "eldenet.train", *TINY[:2], "data.frames={train: 32, val: 7, test: 8}", *TINY[3:]),
-            *("runtime.threads=1", "trainer.monitor=abs_rel", "output=run"),
-        ],
-        cwd=tmp_path,
-        env={**os.environ, "ELDENET_CACHE": cache, "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=240,
-    )
-    assert finished.returncode == 0, finished.stderr[-2000:]
-    assert finished.stdout.count("epoch   1/1") == finished.stdout.count("training and 7 validation") == 1
+def test_two_processes_train_to_the_end_and_write_one_run(cache, command_server, tmp_path):
+    words = (*TINY[:2], "data.frames={train: 32, val: 7, test: 8}", *TINY[3:], "runtime.threads=1")
+    words += ("trainer.monitor=abs_rel", "output=run")
+    ranks = command_server.run_ranks("eldenet.train", words, tmp_path)
+    for rank in ranks:
+        assert rank.returncode == 0, rank.stderr[-2000:]
+    said = "".join(rank.stdout for rank in ranks)
+    assert said.count("epoch   1/1") == said.count("training and 7 validation") == 1
     run = json.loads((tmp_path / "run" / "run.json").read_text())
     assert run["metrics"]["images"] == 8
     # both halves of the validation were scored with the weights and statistics that were saved

@@ -68,6 +68,6 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
 
 
 def test_an_unknown_logger_is_refused(run_command):
-    finished = run_command("train", "logger=[tensorbord]")
+    finished = run_command("train", "logger=[tensorbord]", "runtime.workers=0")
     assert finished.returncode == 1
     assert "tensorboard" in finished.stderr
