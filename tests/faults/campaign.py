@@ -107,13 +107,14 @@ def attack(kind: FileKind, folder: Path, how: Sequence[Damage]) -> list[Outcome]
         return judge(lambda: kind.read(work), names, expected[0])
 
     def read_whole() -> Outcome:
-        first, second = whole_result(), whole_result()
-        return Outcome(UNHARMED if first == second else SILENT, "the whole file, read twice")
+        expected.append(whole_result())
+        same = whole_result() == expected[0]
+        return Outcome(UNHARMED if same else SILENT, "the whole file, read twice")
 
-    (start,) = in_processes([read_whole])
+    start, *outcomes = in_processes([read_whole, *(lambda n=n, d=d: one(n, d) for n, d in enumerate(how))])
     if start.what != UNHARMED:
         raise RuntimeError(f"{kind.name} cannot be read whole: {start.said}")
-    return in_processes([lambda n=n, d=d: one(n, d) for n, d in enumerate(how)])
+    return outcomes
 
 
 def judge(read: Callable[[], Any], names: Sequence[str], expected: str | None) -> Outcome:
