@@ -168,7 +168,7 @@ class NYUSync(_NYUPairs):
 
     Raises:
         FileNotFoundError: files are missing, or a picture has no depth.
-        ValueError: a line of the list is not a pair, or has another camera's focal length.
+        ValueError: a line of the list is not a pair.
     """
 
     ground_truth = "raw"
@@ -209,24 +209,12 @@ def _list_pairs(list_file: Path) -> list[tuple[str, str]]:
             continue
         if len(cells) not in (2, 3):
             raise ValueError(f"{list_file}, line {number}: expected 'image depth [focal]', found {line!r}")
-        if len(cells) == 3 and not _is_focal(cells[2]):
-            raise ValueError(
-                f"{list_file}, line {number}: focal length {cells[2]} px, NYU's camera has {NYU_FOCAL}: is "
-                "it the list of another data set?"
-            )
         # joined to the root, a path that starts with "/" would replace it
         pairs.append((cells[0].lstrip("/"), cells[1].lstrip("/")))
     if not pairs:
         raise ValueError(f"{list_file} is empty: set list_file to a list of frames")
     check_inside(pairs, list_file, "write the list with paths below that folder")
     return pairs
-
-
-def _is_focal(cell: str) -> bool:
-    try:
-        return abs(float(cell) - NYU_FOCAL) <= 1.0
-    except ValueError:
-        return False
 
 
 def _frame_number(file: str) -> int:

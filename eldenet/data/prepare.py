@@ -4,7 +4,7 @@ python -m eldenet.data.prepare nyu_labelled source=nyu_depth_v2_labeled.mat
 """
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -48,8 +48,8 @@ def nyu_labelled(source: str, output: str = "nyu_labelled") -> None:
         split = {"train": "trainval", "test": "test"}[part]
         frames = NYUMat(mat.parent, split=split, file=mat.name)
         pairs = []
-        for number, frame in enumerate(_frames(frames), 1):
-            pairs.append(write(folder, frame))
+        for number in range(1, len(frames) + 1):
+            pairs.append(write(folder, frames.load_frame(number - 1)))
             if number % 100 == 0 or number == len(frames):
                 _say(f"{part}: {number} of {len(frames)} frames")
         write_text(folder / f"data/nyu2_{part}.csv", "".join(f"{image},{depth}\n" for image, depth in pairs))
@@ -59,10 +59,6 @@ def nyu_labelled(source: str, output: str = "nyu_labelled") -> None:
 def _say(text: str) -> None:
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
-
-
-def _frames(frames: NYUMat) -> Iterator[Frame]:
-    return (frames.load_frame(index) for index in range(len(frames)))
 
 
 def _training_frame(root: Path, frame: Frame) -> tuple[str, str]:
@@ -84,9 +80,6 @@ def _test_frame(root: Path, frame: Frame) -> tuple[str, str]:
     return f"{stem}_colors.png", f"{stem}_depth.png"
 
 
-PREPARED: dict[str, Callable[..., None]] = {"nyu_labelled": nyu_labelled}
-
-
 def main(words: Sequence[str]) -> None:
     """Run ``<data set> source=... [output=...]``; a user's mistake ends in one line."""
     if not words or words[0] in ("-h", "--help"):
@@ -94,13 +87,12 @@ def main(words: Sequence[str]) -> None:
         return
     name, *rest = words
     settings = dict(word.partition("=")[::2] for word in rest)
-    if name not in PREPARED or not {"source"} <= set(settings) <= {"source", "output"}:
+    if name != "nyu_labelled" or not {"source"} <= set(settings) <= {"source", "output"}:
         raise SystemExit(
-            f"{' '.join(words)}: give one of {', '.join(PREPARED)}, source=<file> and, optionally, "
-            "output=<folder>"
+            f"{' '.join(words)}: give nyu_labelled, source=<file> and, optionally, output=<folder>"
         )
     try:
-        PREPARED[name](**settings)
+        nyu_labelled(**settings)
     except (ValueError, OSError, ImportError) as error:
         raise SystemExit(str(error)) from error
 

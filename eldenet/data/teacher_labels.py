@@ -1,7 +1,7 @@
 """``teacher_labels``: photographs without depth, labeled once by a trained network."""
 
 import json
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, Unpack
 
@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
-from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, is_turned, read_depth, read_image
+from eldenet.data.io import IMAGE_ENDINGS, depth_encoding, read_depth, read_image
 from eldenet.data.paths import default_cache, visible_files
 from eldenet.geometry import pinhole, resize_image
 from eldenet.system.digests import digest_of
@@ -127,11 +127,14 @@ class TeacherLabels(FileDataset):
         except (ValueError, OSError):  # there is none yet
             known = {}
         stamps = {file: _stamp(self.root / file) for (file,) in self.files}
-        missing = [i for i, (file,) in enumerate(self.files) if not self._is_labeled(i, stamps[file], known)]
-        unlabeled = {self.files[index][0] for index in missing}
-        labeled = known | {file: stamp for file, stamp in stamps.items() if file not in unlabeled}
-        if not missing and labeled == known:
+        missing = [
+            index
+            for index, (file,) in enumerate(self.files)
+            if known.get(file) != stamps[file] or not self.label_file(index).is_file()
+        ]
+        if not missing:
             return
+        labeled = dict(known)
         write_json(self.folder / "teacher.json", {"version": VERSION, **self.note})
 
         reasons: dict[int, str] = {}
@@ -149,16 +152,6 @@ class TeacherLabels(FileDataset):
             if labeled != known:
                 write_json(record, labeled)
         self.leave_out(reasons)
-
-    def _is_labeled(self, index: int, stamp: str, known: Mapping[str, str]) -> bool:
-        label, file = self.label_file(index), self.files[index][0]
-        if not (stamp and label.is_file()):
-            return False
-        if file in known:
-            return known[file] == stamp
-        # labeled by a run that was killed, or by version 1: without a record, and photos as they are stored
-        picture = self.root / file
-        return label.stat().st_mtime_ns > picture.stat().st_mtime_ns and not is_turned(picture)
 
     def _label(self, indices: Sequence[int], teacher: Labeler, mirror: bool) -> dict[int, str]:
         """Label these pictures and return why some cannot be read."""

@@ -76,7 +76,6 @@ def evaluate(
     device: str | torch.device = "cpu",
     batch_size: int = 32,
     workers: int = 0,
-    shard: tuple[int, int] = (0, 1),
     advance: Callable[[int], object] | None = None,
 ) -> Evaluation:
     """Score ``model`` on every frame of ``dataset`` exactly once, in fp32.
@@ -92,16 +91,14 @@ def evaluate(
         device: where the model is.
         batch_size: images at a time, fewer where their size changes; it does not change the result.
         workers: processes that load data.
-        shard: ``(rank, processes)`` of this process; the sums of all processes are added up.
         advance: called with the number of images of each batch, for a progress bar.
 
     Raises:
         ValueError: the data set's ground truth is not of the protocol's kind or size, no pixel of it counts,
             or a prediction is NaN.
     """
-    rank, processes = shard
-    loader = evaluation_loader(dataset, batch_size, workers=workers, rank=rank, processes=processes)
-    return evaluate_batches(model, loader, protocol, device=device, processes=processes, advance=advance)
+    loader = evaluation_loader(dataset, batch_size, workers=workers)
+    return evaluate_batches(model, loader, protocol, device=device, advance=advance)
 
 
 def evaluate_batches(
@@ -114,6 +111,8 @@ def evaluate_batches(
     advance: Callable[[int], object] | None = None,
 ) -> Evaluation:
     """Score as :func:`evaluate`, with an :func:`~eldenet.data.loaders.evaluation_loader` for several passes.
+
+    Of several ``processes``, each has a loader of its share of the frames; all get the whole result.
 
     Raises:
         ValueError: as :func:`evaluate`.

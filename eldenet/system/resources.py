@@ -12,7 +12,6 @@ from typing import Any
 
 from eldenet.system.checks import one_of
 
-LEAST_FILES = 64  # that a process may have open
 MOST = 1024  # threads, or workers
 CGROUP = Path("/sys/fs/cgroup")
 LONGEST_WAIT = timedelta(days=2)  # for the process that prepares data: it may render for hours
@@ -96,7 +95,6 @@ def choose_resources(
     Warns:
         UserWarning: more threads and workers than cores on a CPU.
     """
-    allow_files()
     for name, count, least in (("threads", threads, 1), ("workers", workers, 0)):
         if count != "auto" and not (type(count) is int and least <= count <= MOST):
             raise ValueError(f"runtime.{name}={count}: give a whole number from {least} to {MOST}, or auto")
@@ -130,25 +128,6 @@ def choose_resources(
     full_fp32()
     precision = resolve_precision(precision, device)
     return Resources(device, precision, threads, workers, cores, number_of_processes())
-
-
-def allow_files() -> None:
-    """Let this process open as many files as the system allows; workers and videos need some.
-
-    Raises:
-        ValueError: these are fewer than :data:`LEAST_FILES`, with which workers would wait for each other.
-    """
-    try:
-        import resource
-    except ImportError:  # Windows
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if 0 <= hard < LEAST_FILES:
-        raise ValueError(
-            f"only {hard} files may be open at once: allow {LEAST_FILES} or more (ulimit -n 1024)"
-        )
-    if 0 <= soft < LEAST_FILES:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (LEAST_FILES, hard))
 
 
 def check_torch_device(device: str) -> None:

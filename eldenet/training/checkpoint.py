@@ -122,8 +122,8 @@ class TrainingState:
             self._load(state)
         for name, value in progress.items():
             setattr(self.progress, name, value)
-        threads = [identity.get("threads") for identity in (theirs, ours)]  # absent in early checkpoints
-        if None in threads or threads[0] == threads[1]:
+        threads = [identity["threads"] for identity in (theirs, ours)]
+        if threads[0] == threads[1]:
             return ""
         return (
             f"note: this run used {threads[0]} threads so far and now uses {threads[1]}: sums are rounded in "
@@ -136,25 +136,25 @@ class TrainingState:
             self.ema.load_state_dict(state["ema"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.scheduler.load_state_dict(state["scheduler"])
-        self.loss.load_state_dict(state.get("loss", {}))  # absent in early checkpoints
+        self.loss.load_state_dict(state["loss"])
         if self.scaler is not None and state["scaler"] is not None:
             self.scaler.load_state_dict(state["scaler"])
         torch.set_rng_state(state["torch_rng"])
-        if state.get("cuda_rng") is not None and torch.cuda.is_initialized():  # absent in early ones
+        if state["cuda_rng"] is not None and torch.cuda.is_initialized():
             torch.cuda.set_rng_state(state["cuda_rng"])
 
 
 def _checked_progress(stored: Mapping[str, Any], epochs: int, batches: int) -> dict[str, Any]:
     """Return the values of a stored :class:`Progress` whose types are right and which lie in the training."""
     fresh = asdict(Progress())
-    found = {name: stored[name] for name in fresh if name in stored}  # some are absent in early checkpoints
+    found = {name: stored[name] for name in fresh}
     for name, value in found.items():
         wanted = (int, float) if isinstance(fresh[name], float) else type(fresh[name])
         if isinstance(value, bool) or not isinstance(value, wanted):
             raise ValueError(f"progress.{name} is {value!r}")
     limits = {"epoch": epochs, "batch": batches, "step": epochs * batches, "best_epoch": epochs}
     for name, most in limits.items():
-        if not -1 <= found.get(name, 0) <= most:
+        if not -1 <= found[name] <= most:
             raise ValueError(f"progress.{name} is {found[name]}, but this training has {most}")
     return found
 

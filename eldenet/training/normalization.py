@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 FILE = "normalization.json"
-_EARLIER_FILE = "normalisation.json"
 FRAMES = 512
 
 
@@ -39,12 +38,10 @@ def normalization(
         raise ValueError(f"normalization={choice!r}: give imagenet, dataset or {{mean: [...], std: [...]}}")
     if choice == "imagenet":
         return {}
-    if resumed is not None:
-        for file in (resumed / FILE, resumed / _EARLIER_FILE):
-            if file.is_file():
-                known = read_json(file)
-                with reading(file, "normalization", "train again in another folder"):
-                    return {name: _three(name, known[name]) for name in ("mean", "std")}
+    if resumed is not None and (resumed / FILE).is_file():
+        known = read_json(resumed / FILE)
+        with reading(resumed / FILE, "normalization", "train again in another folder"):
+            return {name: _three(name, known[name]) for name in ("mean", "std")}
     from eldenet.data.inspection import channel_statistics
 
     found = channel_statistics(train_set, frames=FRAMES)

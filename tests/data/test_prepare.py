@@ -55,7 +55,7 @@ def test_real_frames(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["nyu", "source=a.mat"], "give one of nyu_labelled"),
+        (["nyu", "source=a.mat"], "give nyu_labelled"),
         (["nyu_labelled", "from=a.mat"], "source=<file>"),
         (["nyu_labelled", "source=nowhere/a.mat"], r"a\.mat"),
     ],

@@ -107,23 +107,6 @@ def test_a_replaced_picture_is_labeled_again(photos: Path, older: bool) -> None:
     assert teacher.calls == 2
 
 
-def test_labels_without_a_record_hold_while_the_picture_is_older(photos: Path) -> None:
-    """Labels of earlier versions, and of a run that was killed, are kept."""
-    frames = TeacherLabels(photos, teacher=Brightness())
-    (frames.folder / "pictures.json").unlink()
-    (frames.folder / "teacher.json").write_text("{}")
-    teacher = Brightness()
-    TeacherLabels(photos, teacher=teacher)
-    assert teacher.calls == 0
-    assert "version" in json.loads((frames.folder / "teacher.json").read_text())
-    (frames.folder / "pictures.json").unlink()
-    os.utime(photos / "wide.png", (4e9, 4e9))
-    TeacherLabels(photos, teacher=teacher)
-    assert teacher.calls == 2
-    TeacherLabels(photos, teacher=teacher)
-    assert teacher.calls == 2
-
-
 def sideways(path: Path) -> None:
     """A photo of 8 x 16 pixels, red on its left, as a phone stores it that was held upright: 16 x 8."""
     photo = np.zeros((8, 16, 3), np.uint8)
@@ -141,20 +124,6 @@ def test_photos_are_turned_upright(photos: Path) -> None:
     assert frame.image[:, :6, 0].min() > 200
     assert frame.depth[:, :6].min() > 4
     assert frame.depth[:, 10:].max() < 2
-
-
-def test_labels_of_version_1_hold_except_for_turned_photos(photos: Path) -> None:
-    """Version 1 labeled photos as they are stored, and kept no record."""
-    sideways(photos / "phone.jpg")
-    frames = TeacherLabels(photos, teacher=Brightness())
-    cv2.imwrite(str(frames.label_file(1)), np.full((16, 8), 1000, np.uint16))
-    (frames.folder / "pictures.json").unlink()
-    teacher = Brightness()
-    frames = TeacherLabels(photos, teacher=teacher)
-    assert teacher.calls == 2  # one batch and its mirror image
-    assert frames.load_frame(1).depth.shape == (8, 16)
-    TeacherLabels(photos, teacher=teacher)
-    assert teacher.calls == 2
 
 
 def test_the_version_of_labels_counts(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:

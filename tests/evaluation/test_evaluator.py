@@ -82,12 +82,14 @@ from accelerate import PartialState
 from support.synthetic import SyntheticDepth
 from support.training import PROTOCOL
 from eldenet.evaluation.constant_baseline import ConstantPredictor
-from eldenet.evaluation.evaluator import evaluate
+from eldenet.data.loaders import evaluation_loader
+from eldenet.evaluation.evaluator import evaluate_batches
 
 state = PartialState(cpu=True)
 torch.set_num_threads(1)
-model, shard = ConstantPredictor(torch.full((1, 1, 32, 48), 4.0)), (state.process_index, state.num_processes)
-result = evaluate(model, SyntheticDepth(7), PROTOCOL, batch_size=2, shard=shard)
+loader = evaluation_loader(SyntheticDepth(7), 2, rank=state.process_index, processes=state.num_processes)
+model = ConstantPredictor(torch.full((1, 1, 32, 48), 4.0))
+result = evaluate_batches(model, loader, PROTOCOL, processes=state.num_processes)
 if state.is_main_process:
     json.dump([result.metrics, result.rows], open(sys.argv[1], "w"))
 state.wait_for_everyone()

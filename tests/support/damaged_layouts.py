@@ -150,7 +150,7 @@ LAYOUTS = {
         "nyu_sync",
         sync_list,
         (*ALL, "+data.train.list_file={root}/list.txt"),
-        (Target("list.txt", (web_page, text(lambda t: t.replace("518", "x"))), None, "list.txt|/html"),),
+        (Target("list.txt", (web_page, text(lambda t: t.replace(" ", " x "))), None, "list.txt|/html"),),
     ),
     "hdf5": Layout(
         "nyu_hdf5",

@@ -75,19 +75,6 @@ def test_choosing_resources_turns_tf32_off() -> None:
         torch.backends.cudnn.allow_tf32 = before
 
 
-def test_too_few_open_files_are_refused_and_a_low_limit_is_raised(monkeypatch) -> None:
-    import resource
-
-    limits, changed = [(20, 20)], []
-    monkeypatch.setattr(resource, "getrlimit", lambda kind: limits[0])
-    monkeypatch.setattr(resource, "setrlimit", lambda kind, pair: changed.append(pair))
-    with pytest.raises(ValueError, match=r"only 20 files may be open at once: allow 64 or more \(ulimit -n"):
-        choose_resources(device="cpu", threads=1, workers=0)
-    for limits[0] in ((20, 4096), (1024, 4096), (-1, -1)):
-        choose_resources(device="cpu", threads=1, workers=0)
-    assert changed == [(64, 4096)]
-
-
 def test_errors_that_name_no_file_say_what_to_do() -> None:
     said = {errno.EMFILE: "ulimit -n", errno.EROFS: "runtime.workers=0", errno.EFBIG: "ulimit -f"}
     for number, words in said.items():
