@@ -72,37 +72,6 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
     assert {path.suffix for path in (trained.parent / "tables").iterdir()} == {".md", ".csv", ".tex"}
 
 
-@pytest.mark.parametrize(
-    ("command", "arguments", "message"),
-    [
-        ("train", ["trainer.epohcs=3"], "epohcs"),
-        ("train", ["model=eldenett"], "eldenett"),
-        ("train", ["experiment=rooms_full"], "+experiment"),
-        ("train", [*TINY, "runtime.device=cuda"], "device=cuda"),
-        ("train", [*TINY, "protocol=nyu_bts"], "protocol nyu_bts scores raw ground truth"),
-        ("train", ["data=nyu_mat", "data.root=/nowhere"], "/nowhere"),
-        (
-            "evaluate",
-            ["checkpoint=eldenet_s", "data=kitti_raw", "data.root=.", "++data.test.split=val"],
-            "(data.val...)",
-        ),
-        ("evaluate", ["checkpoint=nowhere"], "unknown model 'nowhere'"),
-        ("evaluate", ["checkpoint=eldenet_s", "batch_size=0"], "batch_size=0: give a whole number, 1 or"),
-        (
-            "evaluate",
-            ["checkpoint=eldenet_s", "input_size=100"],
-            "input_size=100: give [height, width] in pixels, or model or data",
-        ),
-        ("evaluate", ["checkpoint=eldenet_s", "split=name"], "no split 'name': choose train, val or test"),
-    ],
-)
-def test_a_mistake_ends_in_one_clear_line(run_command, command, arguments, message):
-    finished = run_command(command, *arguments, CUDA_VISIBLE_DEVICES="")
-    assert finished.returncode == 1
-    assert message in finished.stderr + finished.stdout
-    assert "Traceback" not in finished.stderr + finished.stdout
-
-
 def test_a_damaged_picture_is_one_line_also_where_workers_read_it(run_command, tmp_path):
     root = layouts.folder(tmp_path / "data")
     damaged = next((root / "images").iterdir())

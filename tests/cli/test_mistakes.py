@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from eldenet.cli.commands import module_of
-from eldenet.cli.help import advice, comment_on, quote_paths, wrong_option
+from eldenet.cli.help import QUOTES, advice, comment_on, quote_paths, wrong_option
 from eldenet.compose import compose, compose_config
 
 
@@ -53,6 +53,22 @@ def answer(line: str) -> str:
         ("train epoch=3", "there is no setting epoch: did you mean trainer.epochs?"),
         ("check-data root=a", "there is no setting root: did you mean data.root"),
         ("benchmark batch=0", "there is no setting batch: did you mean batches?"),
+        ("train lr=1e-3", "there is no setting lr: did you mean optimizer.lr?"),
+        ("train batch_size=8", "there is no setting batch_size: did you mean trainer.batch_size?"),
+        ("train compile=true", "there is no setting compile: did you mean trainer.compile?"),
+        ("train amp=true", "there is no setting amp: did you mean runtime.precision?"),
+        ("train early_stopping=3", "there is no setting early_stopping: did you mean trainer.patience?"),
+        ("train trainer.early_stopping=3", "trainer.early_stopping: did you mean trainer.patience?"),
+        ("train -m data=kitti data.rot=/x", "there is no setting data.rot: did you mean data.root?"),
+        ("predict sorce=x chekpoint=y", "there is no setting sorce: did you mean source?"),
+        ("predict weights=eldenet_indoor", "there is no setting weights: did you mean checkpoint?"),
+        ("predict image=a.jpg", "there is no setting image: did you mean source?"),
+        ("predict qqqqqqqq=1", "there is no setting qqqqqqqq: --help lists all settings"),
+        ("train model/backbne=x", "there is no setting model/backbne: did you mean model/backbone?"),
+        ("train data.subst=5", "there is no setting data.subst: did you mean data.subset?"),
+        # it exists, but not with data=mix
+        ("train data=mix data.subset.train=5", "no setting data.subset.train: did you mean data.train?"),
+        ("navigate mode=evaluate world=3", "there is no setting world: --help lists all settings"),
         # groups
         ("train data=nyu", "data=nyu: did you mean nyu_densedepth or nyu_hdf5 or nyu_labelled or nyu_mat or"),
         ("train optimizer=Adam", "optimizer=Adam: did you mean adam? choose from adam, adam_paper, adamw,"),
@@ -62,7 +78,10 @@ def answer(line: str) -> str:
         ("train model=null", "model=null: choose from eldenet, "),
         ("train debug=fst", "debug=fst: did you mean fast?"),
         ("train -m data=rooms,nyu", "data=nyu: did you mean"),
+        ("train loss=l1 augmentation=ful", "augmentation=ful: did you mean full? choose from flip, full,"),
         # words that are no settings
+        ("train data.input_size=[1,2", f"data.input_size=[1,2 cannot be read: {QUOTES}"),
+        (f"predict {__file__}", f"{__file__} cannot be read: write source={__file__}"),
         ("train trainer.epochs = 3", "trainer.epochs cannot be read: write trainer.epochs=value"),
         ("train =3", "=3 cannot be read: write setting=value, with the name of a setting"),
         ("train help", "help cannot be read: write setting=value (--help lists all settings)"),

@@ -163,14 +163,6 @@ def test_times_of_a_busy_machine_are_marked_and_stay_out_of_latex(runs, tmp_path
     assert "(busy): other jobs used the machine" in (tmp_path / "t.md").read_text()
 
 
-def test_a_printed_table_keeps_its_units_and_its_words(capsys, tmp_path):
-    titles, rows = table_of([run_with(model="a_rather_long_name_of_a_network")])
-    RunLog(tmp_path).table("a [title]", titles, rows)
-    printed = capsys.readouterr().out
-    for text in ("a [title]", "RMSE [m]", "latency [ms]", "a_rather_long_name_of_a_network"):
-        assert text in printed
-
-
 def store(folder, record: dict) -> None:
     folder.mkdir()
     (folder / "run.json").write_text(json.dumps(record))

@@ -58,20 +58,6 @@ def test_a_full_disk_is_one_line(number: int, reason: str, tmp_path: Path) -> No
     assert line_of(OSError(errno.ENOSPC, "", "b.pt")).startswith("no space left on b.pt: free some space")
 
 
-def test_a_folder_that_cannot_be_one_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(OSError, match="file") as found:
-        write_text(tmp_path / "file" / "a.txt", "text")
-    assert "\n" not in str(found.value)
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_an_unwritable_folder_is_one_line(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    with pytest.raises(DiskError, match=rf"{tmp_path} cannot be written to .*give another folder"):
-        write_text(tmp_path / "a.txt", "text")
-
-
 @pytest.mark.parametrize(
     ("name", "stem"),
     [

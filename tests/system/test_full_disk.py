@@ -2,7 +2,6 @@
 
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -81,32 +80,3 @@ def test_a_full_disk_is_said_in_one_line(writer: str, small_disk: Path) -> None:
     left = [path for path in small_disk.rglob("*") if path.is_file() and path.suffix != ".frames"]
     left = [path for path in left if "tensorboard" not in path.parts]  # these two may stay: readers skip ends
     assert left == []
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_run_whose_log_met_a_full_disk_goes_on(small_disk: Path) -> None:
-    """TensorBoard writes in a thread of its own, which dies there; a resumed run opens a new file."""
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    log, ballast = RunLog(small_disk), small_disk / "ballast"
-    log.scalars(1, {"loss": 1.0})
-    log._opened()[0].writer.flush()
-    with suppress(OSError), ballast.open("wb") as file:
-        file.write(bytes(1 << 20))
-
-    def log_on() -> None:
-        for step in range(2, 100):
-            log.scalars(step, {"loss": 1.0})
-            log.picture("validation", step, NOISE)
-
-    with pytest.raises(DiskError, match="no space left"):
-        log_on()
-    with suppress(DiskError):
-        log.close()  # its thread ends here, not when the disk is gone
-    ballast.unlink()
-    resumed = RunLog(small_disk, first_step=2)
-    resumed.scalars(2, {"loss": 2.0})
-    resumed.close()
-    events = EventAccumulator(str(small_disk / "tensorboard"))
-    events.Reload()
-    assert [(event.step, event.value) for event in events.Scalars("loss")] == [(1, 1.0), (2, 2.0)]

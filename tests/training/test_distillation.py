@@ -102,16 +102,6 @@ def test_the_teacher_can_see_images_of_another_size(networks):
     assert torch.isfinite(value)
 
 
-def test_a_teacher_describes_its_image_sizes(networks):
-    network = networks[1]
-    unknown = "teacher big: sees the student's images at their own size, was trained at an unknown size"
-    assert Teacher(network, source="big").describe(None) == unknown
-    network.info = {"input_size": [64, 96]}
-    assert Teacher(network, source="big", input_size=[96, 128]).describe([32, 40]) == (
-        "teacher big: sees 96 x 128 pixels, was trained at 64 x 96"
-    )
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [

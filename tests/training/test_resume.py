@@ -1,17 +1,14 @@
 """A stopped or killed training goes on to the very same weights, or is refused in a clear line."""
 
 import math
-import os
 import random
 import signal
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-from support.damages import refusal
 from support.synthetic import SyntheticDepth
 from support.training import ONE_THREAD, Stopped, digest, fit, make_trainer, stopping_at
 
@@ -167,11 +164,6 @@ def test_the_devices_generator_is_kept(tmp_path, monkeypatch):
     state(7).save(tmp_path / "last.pt")
     state(3).restore(tmp_path / "last.pt", epochs=1, batches=1)
     assert [value.item() for value in set_to] == [7]
-    without = load_checkpoint(tmp_path / "last.pt")
-    del without["cuda_rng"]
-    save_checkpoint(tmp_path / "old.pt", without)
-    state(3).restore(tmp_path / "old.pt", epochs=1, batches=1)
-    assert len(set_to) == 1
 
 
 def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):
@@ -184,44 +176,3 @@ def test_damaged_and_foreign_checkpoints_are_refused(tmp_path):
     (tmp_path / "cut.pt").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"cut\.pt is truncated or not a valid"):
         load_checkpoint(tmp_path / "cut.pt")
-
-    class Dangerous:
-        def __reduce__(self):
-            return (os.system, ("echo executed > /dev/null",))
-
-    torch.save({"progress": Dangerous()}, tmp_path / "pickle.pt")
-    with pytest.raises(ValueError, match=r"pickle\.pt is truncated or not a valid.*run code"):
-        load_checkpoint(tmp_path / "pickle.pt")
-
-
-def test_a_changed_bit_of_a_checkpoint_is_noticed(tmp_path):
-    path = tmp_path / "last.pt"
-    state = {"progress": {}, "identity": "{}", "model": {"weight": torch.randn(100, 100)}}
-    save_checkpoint(path, state)
-    whole, generator = path.read_bytes(), np.random.default_rng(0)
-    for _ in range(40):
-        content = bytearray(whole)
-        content[generator.integers(len(content))] ^= 1 << int(generator.integers(8))
-        path.write_bytes(content)
-        said = refusal(lambda: load_checkpoint(path))
-        if said is None:  # the zip has gaps that nothing is read from
-            assert torch.equal(load_checkpoint(path)["model"]["weight"], state["model"]["weight"])
-        else:
-            assert str(path) in said
-
-
-@pytest.mark.parametrize(
-    "change",
-    [{"epoch": 10**9}, {"batch": 10**9}, {"step": -7}, {"epoch": "1"}, {"best_epoch": 99}, {"history": 3}],
-)
-def test_a_forged_checkpoint_is_refused(change, tmp_path):
-    fit(tmp_path / "run", epochs=1)
-    state = load_checkpoint(tmp_path / "run")
-    forged = tmp_path / "run" / "checkpoints" / "last.pt"
-    save_checkpoint(forged, state | {"progress": state["progress"] | change})
-    with pytest.raises(ValueError, match=rf"last\.pt is .* progress\.{next(iter(change))} is .*train again"):
-        fit(tmp_path / "run", epochs=1, ckpt_path=forged)
-    del state["identity"]
-    save_checkpoint(forged, state)
-    with pytest.raises(ValueError, match="not a training checkpoint of eldenet: it has no entry 'identity'"):
-        fit(tmp_path / "run", epochs=1, ckpt_path=forged)

@@ -145,19 +145,6 @@ def test_a_short_epoch_shows_every_frame(frames, batches, left_out):
     assert len(shown) == len(set(shown)) == frames - left_out
 
 
-@pytest.mark.parametrize(
-    ("frames", "line"),
-    [
-        (16, "16 frames, batch 4: 4 updates an epoch\n"),
-        (18, "18 frames, batch 4: 4 updates an epoch, which leaves out 2 frames, others each time\n"),
-        (3, "3 frames, batch 4: 1 update an epoch, the last batch with 3 frames\n"),
-    ],
-)
-def test_a_training_says_what_an_epoch_is_made_of(tmp_path, capsys, frames, line):
-    fit(tmp_path, trainer=make_trainer(epochs=1), frames=frames)
-    assert line in capsys.readouterr().out
-
-
 INTERRUPTED = """
 import os, signal, sys
 import eldenet.train
