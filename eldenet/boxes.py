@@ -26,6 +26,7 @@ UNIT_CORNERS = np.array(
 )  # fmt: skip
 EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 FRONT_FACE = (0, 1, 5, 4)
+NEAR = 0.1  # [m]: edges are cut at this depth
 
 
 class ArrayRows:
@@ -231,14 +232,14 @@ class Boxes3D(ArrayRows):
         quality = {name: values[chosen] for name, values in self.quality.items()}
         return replace(super().select(chosen), quality=quality)
 
-    def project(self, camera: PinholeCamera, size: tuple[int, int], near: float = 0.1) -> np.ndarray:
-        """2D boxes ``(N, 4)`` around the corners, clipped at ``near`` [m] and to ``(height, width)`` [px].
+    def project(self, camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:
+        """2D boxes ``(N, 4)`` around the corners, clipped before the camera and to ``(height, width)`` [px].
 
         NaN for a box outside the image: behind the camera, or beside the view.
         """
         boxes = np.full((len(self), 4), np.nan)
         for index, corners in enumerate(camera.to_camera(self.corners)):
-            ends = clipped_edges(corners, near).reshape(-1, 3)
+            ends = clipped_edges(corners).reshape(-1, 3)
             if len(ends):
                 pixels = ((ends / ends[:, 2:]) @ camera.intrinsics.T)[:, :2]
                 limits = np.array([size[1] - 1, size[0] - 1])
@@ -266,14 +267,14 @@ def corners_of(center: np.ndarray, size: np.ndarray, yaw: np.ndarray) -> np.ndar
     )
 
 
-def clipped_edges(corners: np.ndarray, near: float) -> np.ndarray:
-    """The twelve edges ``(E, 2, 3)`` of camera ``corners (8, 3)``, cut at ``z = near`` [m]; E <= 12."""
+def clipped_edges(corners: np.ndarray) -> np.ndarray:
+    """The twelve edges ``(E, 2, 3)`` of camera ``corners (8, 3)``, cut at ``z = NEAR``; E <= 12."""
     edges = corners[np.array(EDGES)]
     start, end = edges[:, 0], edges[:, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = ((near - start[:, 2]) / (end[:, 2] - start[:, 2]))[:, None]
+        share = ((NEAR - start[:, 2]) / (end[:, 2] - start[:, 2]))[:, None]
         cut = start + share * (end - start)
-    front, back = start[:, 2:] >= near, end[:, 2:] >= near
+    front, back = start[:, 2:] >= NEAR, end[:, 2:] >= NEAR
     kept = (front | back)[:, 0]
     clipped = np.stack([np.where(front, start, cut), np.where(back, end, cut)], axis=1)
     return np.asarray(clipped[kept])

@@ -69,17 +69,16 @@ class SqueezeExcite(nn.Module):
     Hu et al., "Squeeze-and-Excitation Networks" (CVPR 2018), with MobileNetV3's hard sigmoid as the gate.
 
     Args:
-        channels: C, a multiple of ``reduction``.
-        reduction: factor by which the channels are squeezed.
+        channels: C, a multiple of 4, to a fourth of which they are squeezed.
     """
 
-    def __init__(self, channels: int, *, reduction: int = 4) -> None:
+    def __init__(self, channels: int) -> None:
         super().__init__()
         # this module exports as GlobalAveragePool, which every runtime has; x.mean((2, 3)) does not
         self.pool = nn.AdaptiveAvgPool2d(1)
-        self.reduce = nn.Conv2d(channels, channels // reduction, 1)
+        self.reduce = nn.Conv2d(channels, channels // 4, 1)
         self.activation = nn.ReLU()
-        self.expand = nn.Conv2d(channels // reduction, channels, 1)
+        self.expand = nn.Conv2d(channels // 4, channels, 1)
         self.gate = nn.Hardsigmoid()
 
     def forward(self, x: Tensor) -> Tensor:

@@ -127,10 +127,10 @@ def test_boxes_beside_the_view_have_no_projection():
 
 def test_edges_are_cut_at_the_near_plane():
     corners = corners_of(np.array([[0, 0, 0.5]]), np.full((1, 3), 2.0), np.zeros(1))[0]
-    edges = clipped_edges(corners, 0.1)
+    edges = clipped_edges(corners)
     assert 4 < len(edges) < 12
     assert edges[..., 2].min() == pytest.approx(0.1)
-    assert len(clipped_edges(corners - [0, 0, 9], 0.1)) == 0
+    assert len(clipped_edges(corners - [0, 0, 9])) == 0
 
 
 # --- detections ---

@@ -34,11 +34,11 @@ STEM_CHANNELS = 16
 SCALES = (0.25, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5)
 
 
-def scale_channels(channels: int, scale: float, divisor: int = 8) -> int:
-    """Round ``channels * scale`` to the nearest multiple of ``divisor``, never more than 10 % down."""
+def scale_channels(channels: int, scale: float) -> int:
+    """Round ``channels * scale`` to the nearest multiple of 8, never more than 10 % down."""
     wanted = channels * scale
-    rounded = max(divisor, int(wanted + divisor / 2) // divisor * divisor)
-    return rounded + divisor if rounded < 0.9 * wanted else rounded
+    rounded = max(8, int(wanted + 4) // 8 * 8)
+    return rounded + 8 if rounded < 0.9 * wanted else rounded
 
 
 class PPLCNet(Backbone):

@@ -164,15 +164,16 @@ def rename_timm(weights: Weights, stages: Mapping[int, tuple[str, int]]) -> Weig
     return found
 
 
-def download_from_hub(repository: str, filename: str = "model.safetensors") -> Path:
-    """Return the local path of a file of a Hugging Face repository, downloaded if it is not in the cache.
+def download_from_hub(repository: str) -> Path:
+    """Return the local path of a Hugging Face repository's weights, downloaded if they are not in the cache.
 
     Raises:
-        RuntimeError: it is not in the cache and cannot be downloaded.
+        RuntimeError: they are not in the cache and cannot be downloaded.
     """
     from huggingface_hub import hf_hub_download
 
     # which errors depends on the versions of the Hub's client and its HTTP library
+    filename = "model.safetensors"
     with downloading(f"{filename} from https://huggingface.co/{repository}", Exception):
         return Path(until_stalled(lambda: hf_hub_download(repository, filename), repository))
 

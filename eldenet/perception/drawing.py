@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from eldenet.boxes import FRONT_FACE, Boxes3D, Detections2D, clipped_edges
+from eldenet.boxes import FRONT_FACE, NEAR, Boxes3D, Detections2D, clipped_edges
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.iou import footprints
 
-_NEAR = 0.1  # [m]: edges are cut at this depth
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _COLOR_OF = {
     "car": (255, 120, 60), "van": (255, 190, 60), "truck": (190, 120, 255), "person": (80, 200, 255),
@@ -52,12 +51,12 @@ def draw_boxes(
     for index in np.argsort(-np.linalg.norm(boxes.center, axis=1)):  # distant boxes first
         corners = camera.to_camera(boxes.corners[index])
         color = color_of(boxes.names[boxes.label[index]])
-        if front[index] and (corners[list(FRONT_FACE), 2] > _NEAR).all():
+        if front[index] and (corners[list(FRONT_FACE), 2] > NEAR).all():
             face = _pixels(corners[list(FRONT_FACE)], camera)
             shade = picture.copy()
             cv2.fillPoly(shade, [_fixed(face)], color, cv2.LINE_AA, 4)
             picture = cv2.addWeighted(shade, 0.35, picture, 0.65, 0)
-        edges = clipped_edges(corners, _NEAR)
+        edges = clipped_edges(corners)
         if not len(edges):
             continue
         for ends in edges:

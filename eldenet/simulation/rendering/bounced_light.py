@@ -92,10 +92,10 @@ def add_bounces(light: np.ndarray, room: "CompiledRoom", hits: Hits, size: tuple
             light[c] += strength * glow.power[c]
 
 
-def contact_shade(hits: Hits, size: tuple[int, int], reach: float = _CONTACT) -> np.ndarray:
+def contact_shade(hits: Hits, size: tuple[int, int]) -> np.ndarray:
     """Return the share of light ``(N,)`` that neighbors leave to each point: less where things touch.
 
-    Screen-space ambient occlusion: a visible neighbor within ``reach`` [m] that rises above the point's own
+    Screen-space ambient occlusion: a visible neighbor within ``_CONTACT`` that rises above the point's own
     plane takes light away. Sampled at half of the resolution.
     """
     height, width = size
@@ -112,7 +112,7 @@ def contact_shade(hits: Hits, size: tuple[int, int], reach: float = _CONTACT) ->
         squared = (rise * rise).sum(axis=0)
         height_above = (rise * normal[:, row[0]][:, :, column[0]]).sum(axis=0)
         share = height_above / (np.sqrt(squared) + np.float32(1e-4)) - np.float32(0.1)
-        share = np.maximum(share, 0) / (1 + squared * np.float32(1 / reach**2))
+        share = np.maximum(share, 0) / (1 + squared * np.float32(1 / _CONTACT**2))
         taken[row[0], column[0]] += share
     open_share = np.clip(1 - taken * np.float32(2.2 / 12), 0.2, 1)
     open_share = cv2.GaussianBlur(open_share, (3, 3), 0.6)
