@@ -17,11 +17,13 @@ import run as faults  # noqa: E402
 
 from eldenet.navigation.evaluation import Episode, summarize  # noqa: E402
 
+ALONE = ("dqn_ensemble", "varied_dqn", "astar_online_dwa")
 METHODS = ("dqn_ensemble", "astar_online_dqn", "astar_online_dwa")
 HEAD = (
     "what differs from 80 obstacles and true ranges",
     "packaged driver alone",
     "`varied_dqn` alone",
+    "`astar_online_dwa` alone",
     "packaged driver",
     "`astar_online_dqn`",
     "`astar_online_dwa`",
@@ -48,7 +50,7 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
         "",
         "Success [%] with Wilson's 95 % interval, and the number of arenas. Drivers of the last three "
         "columns know the latency, get filtered ranges where single columns are wrong, and corrected "
-        "ranges where all are too short or too long; the first two do not. "
+        "ranges where all are too short or too long; the first three do not. "
         "`varied_dqn` was trained with other sizes, speeds, latencies and a drifting odometry.",
         "",
         f"| {' | '.join(HEAD)} |",
@@ -67,13 +69,13 @@ def condition_line(name: str, rows: conditions.Rows) -> str | None:
         return None
     helped = conditions.REMEDIES.get(name, name)
     corrected = "range_scale" in conditions.CONDITIONS[name].robot  # what the correction may break
-    alone = [None if corrected else rows.get((method, name)) for method in ("dqn_ensemble", "varied_dqn")]
+    alone = [None if corrected else rows.get((method, name)) for method in ALONE]
     return line(name, [*alone, *(rows.get((method, helped)) for method in METHODS)])
 
 
 def fault_line(name: str, rows: faults.Rows) -> str:
     """Return a line of the table: without the range filter, then with it."""
-    alone = [rows.get(("dqn_ensemble", name, False)), None]
+    alone = [rows.get((method, name, False)) for method in ALONE]
     return line(name, [*alone, *(rows.get((method, name, True)) for method in METHODS)])
 
 
