@@ -102,7 +102,7 @@ def run_episodes(
                     OUTCOMES[event],
                     round(float(episodes.seconds[slot]), 3),
                     round(float(episodes.travelled[slot]), 3),
-                    round(optimal_length(arena) - GOAL_RADIUS, 3),
+                    to_goal(arena),
                 )
                 advance(1)
                 following = next(waiting, None)
@@ -113,6 +113,11 @@ def run_episodes(
         active = np.array(still, dtype=np.intp)
         episodes.scan(still)
     return [rows[number] for number in range(len(arenas))]
+
+
+def to_goal(arena: Arena) -> float:
+    """Return the length of the shortest path that reaches the goal's radius [m]."""
+    return round(optimal_length(arena) - GOAL_RADIUS, 3)
 
 
 def summarize(rows: Sequence[Episode]) -> dict[str, Any]:

@@ -85,7 +85,9 @@ def digest(files: Sequence[Path]) -> str | None:
 
 
 def input_hashes(sensor: str, args: Namespace) -> dict[str, str | None]:
-    """Return the hash of each input of a sensor; None for what it does not use."""
+    """Return the hash of each input of a sensor; None for what it does not use. Stored rows have theirs."""
+    if args.stored:
+        return {}
     kind = sensor.partition("@")[0]
     return {
         "depth": digest(depth_files(args.depth)) if kind in CAMERAS else None,
@@ -100,7 +102,7 @@ def fed_by(sensor: str, args: Namespace) -> str:
     kind = sensor.partition("@")[0]
     used = {"camera": ["depth"], "objects": ["depth", "detector"], "noisy": ["errors"]}.get(kind, [])
     hashes = input_hashes(sensor, args)
-    parts = [f"{name} `{names[name]}`" + (f" (SHA-256 {hashes[name][:12]})" if hashes[name] else "")
+    parts = [f"{name} `{names[name]}`" + (f" (SHA-256 {hashes[name][:12]})" if hashes.get(name) else "")
              for name in used]  # fmt: skip
     parts += [f"goal `{args.goal}`" + (" (odometry is exact here)" if kind in ("ranges", "centers") else "")]
     return "Fed by: " + ", ".join(parts) + "."

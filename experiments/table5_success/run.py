@@ -9,7 +9,7 @@ of tables.csv at the end. A killed command resumes where it stopped.
 
 from argparse import Namespace
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from comparisons import Tables, courses_of, loss, paired
 from inputs import fed_by
 from methods import LEARNED
 from panels import draw_panels
-from rows import measure
+from rows import NOTES, Row, measure, read_notes
 
 from eldenet.navigation.evaluation import Episode, summarize
 from eldenet.results.run_record import environment
@@ -36,11 +36,11 @@ def main() -> None:
     tables: Tables = defaultdict(list)
     for row in rows:
         tables[row.physics, row.sensor, row.method, row.course].append(measure(row, args))
-    write_results(tables, args)
+    write_results(tables, args, rows)
 
 
-def write_results(tables: Tables, args: Namespace) -> None:
-    where, name = environment(), results_name(args)
+def write_results(tables: Tables, args: Namespace, rows: Sequence[Row]) -> None:
+    name = results_name(args)
     lines = [
         "# Success of crossing an arena (Table 5)",
         "",
@@ -72,17 +72,35 @@ def write_results(tables: Tables, args: Namespace) -> None:
             trainings = len(tables[physics, sensor, method, courses[0]]) if method in LEARNED else "-"
             lines.append(f"| {method} | {trainings} | " + " | ".join(shown) + " |")
         lines += ["", *paired(tables, physics, sensor), "", *loss(tables, physics, sensor), ""]
-    lines += [
-        f"{where['hardware']['processor']}, torch {where['versions']['torch']}, "
-        f"mujoco {where['versions']['mujoco']}, "
-        f"{where['date']}, commit {(where['git'] or {}).get('commit')}.",
-        f"Made by `python experiments/table5_success/{where['command']}`.",
-    ]
+    lines += made_with(args, rows)
+    lines.append(f"Made by `python experiments/table5_success/{environment()['command']}`.")
     (HERE / f"{name}.md").write_text("\n".join(lines) + "\n")
     names = ["physics", "sensor", "method", "training", "course", *summarize(next(iter(tables.values()))[0])]
     write_table(HERE / "tables.csv", name, names, cells)
     if args.figure:
         plot(cells, HERE / f"{name}.png")
+
+
+def made_with(args: Namespace, rows: Sequence[Row]) -> list[str]:
+    """Return lines on what made the rows: this environment, or, of rows as they are stored, their notes."""
+    if not args.stored:
+        where = environment()
+        return [f"{_place(where)}, {where['date']}."]
+    notes, lines = read_notes(args.rows / NOTES), []
+    for row in rows:
+        note = notes[row.name]
+        depth = note["key"].get("depth")
+        by = f", depth SHA-256 {depth[:12]}" if depth else ""
+        lines.append(f"- {row.sensor}, {row.course}: {_place(note['environment'])}, {note['date'][:10]}{by}")
+    return ["Rows as they were stored, with SPL anew:", "", *lines, ""]
+
+
+def _place(where: Mapping[str, Any]) -> str:
+    commit = (where["git"] or {}).get("commit")
+    return (
+        f"{where['hardware']['processor']}, torch {where['versions']['torch']}, "
+        f"mujoco {where['versions']['mujoco']}, commit {commit}"
+    )
 
 
 def cell(seeds: list[list[Episode]]) -> str:
