@@ -25,13 +25,16 @@ CONTENT = 4.5  # 99 % of the second derivatives of a picture 32 x 24 are below i
 REPEATS = 2  # pictures in a row that repeat the one before, or show nothing
 MOVED, TURNED = 0.02, 0.02  # motion after which a scan must differ [m], [rad]
 EVEN = 0.2  # share of a scan that may differ then though it shows even walls only
+SAME_RANGE, SAME_PIXEL = 0.05, 2.5  # change of a view that stays: median of ranges, mean of gray levels
+OTHER_RANGE = 0.15  # relative change of a range that noise does not make
+SLIPS = 5  # periods in a row in which the view stays though it cannot: a camera may be that much behind
 STANDS = 0.001  # motion of a pose that stands [m], [rad]
 LAG = 1.0  # time for which a robot that is told to drive may stand, beyond the latency [s]
 TOLD, TOLD_TURN = 0.1, 0.2  # what it was told meanwhile, at least [m], [rad]
 TILT = math.radians(4.0)  # by which the floor may be off its level [rad]
 SCALE = 1.25  # factor by which the floor may be off its height
 FLOORS = 5  # floors that must agree; the median counts
-STUCK_WAY, STUCK_TIME = 0.3, 20.0  # a robot that stays within a way [m] for a time [s] is stuck
+STUCK_WAY, STUCK_TIME = 0.3, 30.0  # a robot that stays within a way [m] for a time [s] is stuck
 NEARER = 0.5  # progress toward the goal that counts [m]
 
 
@@ -77,7 +80,8 @@ class Watch:
     def reset(self) -> None:
         """Forget what was seen; call this at every new start."""
         self._seen: Look | None = None  # the first look with the present picture
-        self._repeats = self._empty = 0
+        self._repeats = self._empty = self._slips = 0
+        self._still: tuple[Look, np.ndarray | None] | None = None  # the first look with the present view
         self._stood: np.ndarray | None = None  # where the odometry stands
         self._told = np.zeros(3)  # way [m], turn [rad] and time [s] that it was told to drive since
         self._floors: deque[Floor] = deque(maxlen=FLOORS)
@@ -93,6 +97,7 @@ class Watch:
             self.covered(look),
             self.frozen_camera(look),
             self.frozen_odometry(look, sent),
+            self.slipping(look),
             self.floor(look),
         )
         return next((reason for reason in rules if reason), None)
@@ -148,6 +153,20 @@ class Watch:
         return (
             f"the odometry stands though the robot was told to drive for {seconds:.1f} s: frozen, or the "
             "motors are off; reset() once that is over"
+        )
+
+    def slipping(self, look: Look) -> str | None:
+        """A view that stays as it is, but for noise, though the odometry moves so that it cannot."""
+        small = None if look.image is None else _small(look.image)
+        if self._still is None or not stays(look, small, *self._still):
+            self._still, self._slips = (look, small), 0
+        elif contradicts(look, self._still[0]):
+            self._slips += 1
+        if self._slips < SLIPS:
+            return None
+        return (
+            "the view stays as it is while the odometry moves: the wheels slip, or the camera is frozen; "
+            "reset() once that is over"
         )
 
     def floor(self, look: Look) -> str | None:
@@ -222,10 +241,17 @@ def has_content(image: np.ndarray) -> bool:
     """Whether a picture ``(H, W, 3)`` or ``(H, W)`` uint8 shows anything, behind the noise of its pixels."""
     import cv2
 
-    gray = image.mean(axis=2) if image.ndim == 3 else image.astype(float)
-    small = cv2.resize(gray.astype(np.float32), (32, 24), interpolation=cv2.INTER_AREA)
-    edges = np.abs(cv2.Laplacian(small, cv2.CV_32F))[1:-1, 1:-1]  # the glow through a finger is smooth
+    # the glow through a finger is smooth
+    edges = np.abs(cv2.Laplacian(_small(image), cv2.CV_32F))[1:-1, 1:-1]
     return bool(np.quantile(edges, 0.99) > CONTENT)
+
+
+def _small(image: np.ndarray) -> np.ndarray:
+    """Gray levels ``(24, 32)`` of a picture."""
+    import cv2
+
+    gray = image.mean(axis=2) if image.ndim == 3 else image.astype(float)
+    return np.asarray(cv2.resize(gray.astype(np.float32), (32, 24), interpolation=cv2.INTER_AREA))
 
 
 def motion(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
@@ -238,8 +264,32 @@ def changes(ranges: np.ndarray, before: np.ndarray, now: np.ndarray) -> bool:
     inside = (ranges > ROBOT.near) & (ranges < ROBOT.far)
     bearing, away = seen_from(now, ranges, before)
     seen = inside & (np.abs(bearing) < ROBOT.field_of_view / 2)
-    expected = 1 / np.interp(bearing[seen], ROBOT.column_angles, 1 / ranges)  # exact along straight walls
+    expected = _toward(bearing[seen], ranges)
     return bool(seen.any() and (np.abs(expected - away[seen]) > MOVED / 2).mean() > EVEN)
+
+
+def contradicts(look: Look, before: Look) -> bool:
+    """Whether most of two scans agree with each other, but not with the motion between them."""
+    inside = (look.ranges > ROBOT.near) & (look.ranges < ROBOT.far)
+    bearing, away = seen_from(look.pose, look.ranges, before.pose)
+    seen = inside & (np.abs(bearing) < ROBOT.field_of_view / 2)
+    first, second = (_toward(bearing[seen], ranges) for ranges in (before.ranges, look.ranges))
+    wrong = (np.abs(np.log(first / away[seen])) > OTHER_RANGE) & (np.abs(np.log(first / second)) < SAME_RANGE)
+    return bool(seen.any() and wrong.mean() > 0.5)
+
+
+def _toward(bearing: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """Ranges at other bearings [rad] of a scan ``(columns,)`` [m]: exact along straight walls."""
+    return np.asarray(1 / np.interp(bearing, ROBOT.column_angles, 1 / ranges))
+
+
+def stays(look: Look, small: np.ndarray | None, before: Look, before_small: np.ndarray | None) -> bool:
+    """Whether two looks show the same but for noise; ``small (24, 32)`` are their pictures."""
+    if small is not None and before_small is not None and np.abs(small - before_small).mean() > SAME_PIXEL:
+        return False
+    inside = np.minimum(look.ranges, before.ranges) < ROBOT.far
+    changed = np.abs(np.log(look.ranges[inside] / before.ranges[inside]))
+    return bool(inside.mean() > EVEN and np.median(changed) < SAME_RANGE)
 
 
 def _same(look: Look, before: Look) -> bool:

@@ -37,7 +37,7 @@ from eldenet.simulation.arena_view import ArenaView, camera_pose  # noqa: E402
 from eldenet.simulation.arenas import Arena, generate_arena  # noqa: E402
 from eldenet.simulation.depth_camera import StereoArtifacts  # noqa: E402
 from eldenet.simulation.obstacle import WALL_HEIGHT, Obstacle  # noqa: E402
-from eldenet.simulation.robot import ROBOT  # noqa: E402
+from eldenet.simulation.robot import ROBOT, arc  # noqa: E402
 from eldenet.system.files import write_bytes  # noqa: E402
 
 HERE = Path(__file__).parent
@@ -103,6 +103,7 @@ ANYWHERE: dict[str, Fault] = {
     "frozen camera": lambda now, then: replace(now, depth=then.depth, image=then.image),
     "frozen odometry": lambda now, then: replace(now, odometry=then.odometry, goal=then.goal),
     "all frozen": lambda now, then: replace(then, stamp=now.stamp),
+    "slipping wheels": lambda now, then: now,  # see drive
     "data 1 s old": lambda now, then: replace(now, stamp=now.stamp - 1.0),
 }
 FAULTS: dict[str, dict[str, Fault]] = {
@@ -232,6 +233,7 @@ def drive(sensor: str, name: str, fault: str, world: int, leveled: bool | None =
     driver.watch.clock = lambda: clock[0]
     driver.watch = driver.watch if leveled is None else None
     then: Inputs | None = None
+    spun: tuple[float, float, float] | None = None  # odometry of wheels that slip: the robot stands
     stopped, reason, event = -1.0, "", Event.NONE
     while event is Event.NONE:
         clock[0] = float(episodes.seconds[0])
@@ -245,6 +247,8 @@ def drive(sensor: str, name: str, fault: str, world: int, leveled: bool | None =
         if clock[0] >= began - 1e-6:
             then = then or now
             now = FAULTS[sensor][fault](now, then)
+            if fault == "slipping wheels":
+                now.odometry = spun = spun or now.odometry
         options: dict[str, Any] = {}
         if sensor != "ranges":
             options["intrinsics"] = eye.view.intrinsics
@@ -254,6 +258,8 @@ def drive(sensor: str, name: str, fault: str, world: int, leveled: bool | None =
         command = driver.step(now.depth, now.goal, now.odometry, stamp=now.stamp, **options)
         if driver.stop_reason is not None:
             stopped, reason = clock[0], driver.stop_reason
+        if spun is not None:
+            spun, command = arc(*spun, *command, ROBOT.period), (0.0, 0.0)
         event = Event(int(episodes.step(np.array([command]))[1][0]))
     return Row(
         WATCH_VERSION,

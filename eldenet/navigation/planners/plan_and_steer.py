@@ -26,7 +26,8 @@ from eldenet.navigation.safety_margins import BESIDE, FAST_ROOM, STEER_MARGIN, S
 from eldenet.simulation.robot import ROBOT
 
 REPLAN_EVERY = 5  # control periods
-NO_WAY = 5.0  # time for which the map must have closed every way to the goal [s]
+NO_WAY = 5.0  # time for which the map must have closed every way to the goal for sure [s]
+NO_PATH = 20.0  # the same where a search finds no path, but by readings that may be wrong [s]
 REMEMBERED = 300  # control periods that points are remembered
 #: Cost of a meter where the nearest obstacle is less than this away [m]; 1 elsewhere.
 COSTS = ((0.25, math.inf), (0.35, 20.0), (0.42, 3.0), (0.50, 1.5))
@@ -73,7 +74,7 @@ class PlanAndSteer(OnRobot):
     """
 
     name = "astar_online_dqn"
-    patience = 120.0
+    patience = 80.0
 
     def __init__(
         self,
@@ -104,6 +105,7 @@ class PlanAndSteer(OnRobot):
         self._left = np.zeros(robots, np.intp)  # control periods until a circle is forgotten
         self._backs = np.zeros(robots, np.intp)  # control periods that it still backs up
         self._closed = np.zeros(robots, np.intp)  # control periods without a way
+        self._pathless = np.zeros(robots, np.intp)  # control periods without a path
         self.circles = np.zeros(robots, np.intp)
         self._looks = np.zeros((robots, 3))  # where it is [m], and how far it has turned there [rad]
         self._window = DynamicWindow(WINDOW_SLACK if heeds_unseen else 0.0)
@@ -125,11 +127,13 @@ class PlanAndSteer(OnRobot):
         self._before[robot] = np.nan
         self._sliding[robot] = self._looks[robot] = 0
         self._left[robot] = self._backs[robot] = self.circles[robot] = self._closed[robot] = 0
+        self._pathless[robot] = 0
 
     @property
     def no_way(self) -> bool:
         """Whether its map has closed every way to the goal for a while."""
-        return bool(self._closed[0] * ROBOT.period >= NO_WAY)
+        closed, pathless = self._closed[0] * ROBOT.period, self._pathless[0] * ROBOT.period
+        return bool(closed >= NO_WAY or pathless >= NO_PATH)
 
     @torch.inference_mode()
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
@@ -198,7 +202,9 @@ class PlanAndSteer(OnRobot):
             points = self.observer.memory.points(robot) - known.origin
             wide = known.plan_by_costs(pose, goal, WIDE, points) if self._left[robot] > 0 else None
             self._paths[robot] = known.plan_by_costs(pose, goal, COSTS, points) if wide is None else wide
-        closed = self._paths[robot] is None and self._maps[robot].closes(pose, goal)
+        pathless = self._paths[robot] is None
+        self._pathless[robot] = self._pathless[robot] + 1 if pathless else 0
+        closed = pathless and self._maps[robot].closes(pose, goal)
         self._closed[robot] = self._closed[robot] + 1 if closed else 0
 
     def _waypoint(
