@@ -135,15 +135,10 @@ class Trainer:
         one_of("loss_camera", loss_camera, ("canonical", "own"))
         self.loss_camera = loss_camera
         one_of("monitor", monitor, METRICS)
-        counts = {
-            "epochs": epochs,
-            "batch_size": batch_size,
-            "accumulate_grad_batches": accumulate_grad_batches,
-        }
-        counts |= {"checkpoint_every": checkpoint_every, "evaluate_every": evaluate_every}
-        counts |= {} if patience is None else {"patience": patience}
-        for name, value in counts.items():
-            if not (isinstance(value, int) and value >= 1):
+        counts = {"epochs": epochs, "batch_size": batch_size, "evaluate_every": evaluate_every}
+        counts |= {"accumulate_grad_batches": accumulate_grad_batches, "checkpoint_every": checkpoint_every}
+        for name, value in (counts | ({} if patience is None else {"patience": patience})).items():
+            if value < 1:
                 raise ValueError(f"{name}={value}: give a whole number, 1 or more")
         if max_grad_norm is not None and not max_grad_norm > 0:
             raise ValueError(f"max_grad_norm={max_grad_norm}: give a number above 0, or null for no clipping")
@@ -383,7 +378,14 @@ class Trainer:
         self.loss = loss.to(device)
         if self.sync_batchnorm and self.processes > 1:
             synchronize_batchnorm(model, device)
-        self.sampler = self._sampler(self.batch_size)
+        self.sampler = EpochSampler(
+            len(self.train_set),
+            self.batch_size,
+            seed=self.seed,
+            rank=self.rank,
+            processes=self.processes,
+            aspect_ratios=self.aspect_ratios,
+        )
         if self.sampler.smallest_batch == 1 and not (self.sync_batchnorm and self.processes > 1):
             self._refuse_batch_of_one(model)
         model.to(device)
@@ -458,16 +460,6 @@ class Trainer:
         if note:
             self.log.say(note)
 
-    def _sampler(self, batch_size: int) -> EpochSampler:
-        return EpochSampler(
-            len(self.train_set),
-            batch_size,
-            seed=self.seed,
-            rank=self.rank,
-            processes=self.processes,
-            aspect_ratios=self.aspect_ratios,
-        )
-
     def _graphed_step(self) -> GraphedStep:
         """A :meth:`train_step` that is replayed; raises ValueError where it cannot be."""
         fits = (
@@ -488,13 +480,10 @@ class Trainer:
             except ValueError as error:
                 if "more than 1 value per channel" not in str(error):
                     raise
-                sizes = (size for size in range(2, len(self.train_set) + 1))
-                works = next((size for size in sizes if self._sampler(size).smallest_batch > 1), None)
-                advice = f"use trainer.batch_size={works}" if works else "give more frames, or larger ones"
                 raise ValueError(
                     f"trainer.batch_size={self.batch_size} leaves a batch of one frame of "
                     f"{len(self.train_set)}, where this network's BatchNorm sees one value per channel: "
-                    f"{advice}"
+                    "give another trainer.batch_size, more frames, or larger ones"
                 ) from error
 
     # ------------------------------------------------------------------ after an epoch

@@ -138,22 +138,13 @@ class OneValue(nn.Module):
         return self.last(image + self.norm(image.mean((2, 3), keepdim=True)))
 
 
-@pytest.mark.parametrize(("frames", "batch_size", "works"), [(13, 1, 2), (5, 2, 3), (9, 4, 2)])
-def test_a_batch_of_one_frame_that_batchnorm_cannot_take(tmp_path: Path, frames, batch_size, works):
+@pytest.mark.parametrize(("frames", "batch_size"), [(13, 1), (5, 2), (1, 4)])
+def test_a_batch_of_one_frame_that_batchnorm_cannot_take(tmp_path: Path, frames, batch_size):
     loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
     model = eldenet.DepthNet(OneValue(), eldenet.heads.LinearHead())
     data = TrainingData(SyntheticDepth(frames), SyntheticDepth(2), PROTOCOL)
-    with pytest.raises(ValueError, match=rf"of {frames}, .* use trainer\.batch_size={works}$"):
+    with pytest.raises(ValueError, match=rf"of {frames}, .*: give another trainer\.batch_size, more frames"):
         make_trainer(batch_size=batch_size).fit(model, loss, data, tmp_path, ONE_THREAD)
-
-
-def test_one_frame_that_batchnorm_cannot_take(tmp_path: Path) -> None:
-    loss = WeightedSum({"l1": WeightedTerm(L1Loss())})
-    data = TrainingData(SyntheticDepth(1), SyntheticDepth(2), PROTOCOL)
-    with pytest.raises(ValueError, match="give more frames, or larger ones"):
-        make_trainer().fit(
-            eldenet.DepthNet(OneValue(), eldenet.heads.LinearHead()), loss, data, tmp_path, ONE_THREAD
-        )
 
 
 def test_a_batch_of_one_frame_trains_where_it_can(tmp_path):
