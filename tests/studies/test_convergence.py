@@ -11,7 +11,7 @@ from eldenet.studies.plan import Study
 from eldenet.train import TrainSettings
 
 (script,) = load_scripts("", "convergence")
-convergence, curves, validation_loss = script.convergence, script.curves, script.validation_loss
+convergence, curves = script.convergence, script.curves
 
 
 @pytest.fixture
@@ -44,22 +44,6 @@ def test_rows_are_compared_at_a_level_that_every_run_reaches(study: Study) -> No
     assert [row[0] for row in rows if row[1] == "MSE"] == [f"{n}/seed{s}" for n, s in falls]
 
 
-def test_training_losses_of_two_kinds_have_no_common_level(study: Study, tmp_path: Path) -> None:
-    study = write_plan(tmp_path, "model=eldenet]", "model=eldenet, loss=berhu]")
-    for name in ("small", "large"):
-        store(study, name, 0, figures(0, 0), training={"history": history([3.0, 2.0, 1.0])})
-    titles, rows = convergence(study).by_row()
-    levels = {tuple(row[:2]): row[titles.index("level")] for row in rows}
-    assert levels["small", "training loss"] == levels["large", "training loss"] == "-"
-    assert levels["small", "MSE"] == levels["large", "MSE"] == "1.000"
-
-
-def test_a_curve_that_sparse_depth_does_not_have_is_left_out(study: Study) -> None:
-    epochs = [row | {"val_ssim": None} for row in history([3.0, 2.0, 1.0])]  # as run.json has NaN
-    store(study, "small", 0, figures(0, 0), training={"history": epochs})
-    assert set(convergence(study).curves["small/seed0"]) == {"train_loss", "val_mse"}
-
-
 def test_a_taught_run_is_compared_by_its_loss_on_the_labels() -> None:
     """A run with a teacher has a higher total; its curve is that of the labels, in every epoch."""
     config = compose(TrainSettings, ["model_name=a", "output=b", "loss=ssim_l1_distill", "teacher=big"])
@@ -69,19 +53,3 @@ def test_a_taught_run_is_compared_by_its_loss_on_the_labels() -> None:
     found = curves(run)
     assert found["train_loss"] == ([1, 2], [1.0, 0.75])
     assert found["val_mse"] == ([2], [1.0])
-
-
-@pytest.mark.parametrize(
-    ("overrides", "expected"),
-    [
-        (["loss.terms.l1.weight=0.5"], 0.3),
-        (["loss=l1"], 0.4),
-        (["loss=berhu"], None),
-        (["loss.terms.l1.space=log"], None),
-        (["loss.terms.l1.loss._target_=eldenet.losses.pointwise.BerHuLoss"], None),
-    ],
-)
-def test_the_validation_loss_is_that_of_the_training_if_metrics_give_it(overrides, expected):
-    config = compose(TrainSettings, ["model_name=a", "output=b", *overrides])
-    run = {"config": {"loss": config.loss}}
-    assert validation_loss(run, {"val_ssim": 0.8, "val_mae": 0.4}) == pytest.approx(expected)

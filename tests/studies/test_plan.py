@@ -1,19 +1,13 @@
 """Plans of studies: errors in one are named, and every row of the repository's studies composes."""
 
-import importlib
-import itertools
-import json
-import os
 from pathlib import Path
 
 import pytest
 from support.stored_study import settings_of
-from support.tiny_study import EXPECTED, cells, run, short
+from support.tiny_study import EXPECTED, short
 
 from eldenet.studies.plan import read_study
-from eldenet.studies.report import write_study_report
 from eldenet.studies.tables import read_expected
-from eldenet.system.files import read_yaml
 from eldenet.weights import list_models
 
 SCORES_TRIALS = {"rooms": "val", "kitti": "val", "cityscapes": "official_val"}
@@ -125,40 +119,3 @@ def test_every_row_of_every_study_composes(folder):
         elif tried:  # on training frames that neither the trial trains on nor the table reports
             assert set(splits.values()) == {"train"}
             assert data["subset"]["train"][1] <= data["subset"]["test"][0]
-
-
-def test_the_screening_design_is_balanced(monkeypatch):
-    """Any two changes are on together, apart and off together in three runs each: effects separate."""
-    monkeypatch.syspath_prepend(str(REPOSITORY / "experiments" / "recipe_screening"))
-    effects = importlib.import_module("effects")
-    rows = effects.designed(read_study(effects.HERE))
-    columns = [{row.name for row in rows if word in row.overrides} for word in effects.CHANGES.values()]
-    columns.append(set(effects.NOTHING))
-    assert len(rows) == 12
-    for one, two in itertools.combinations(columns, 2):
-        assert (len(one), len(two), len(one & two)) == (6, 6, 3)
-
-
-@pytest.mark.slow
-def test_a_row_with_given_folders_is_trained_and_reported(tmp_path):
-    """On two real frames, with another split and protocol than the row's own."""
-    root = Path(os.environ.get("ELDENET_DATA", "")) / "kitti" / "depth"
-    if not os.environ.get("ELDENET_DATA") or not root.is_dir():
-        pytest.skip("ELDENET_DATA has no kitti/depth: no real frames to train on")
-    folder = tmp_path / "table2"
-    folder.mkdir()
-    plan = read_yaml(REPOSITORY / "experiments/table2_accuracy/sweep.yaml")
-    row = plan["rows"]["kitti_eldenet"]
-    row["overrides"] += ["data.depth=groundtruth", "protocol=kitti_depth"]
-    plan["overrides"] += ["trainer.epochs=2", "trainer.evaluate_every=2"]
-    row["overrides"] += [f"data.{split}.split=all" for split in ("train", "val", "test")]
-    row["overrides"] += [f"data.subset.{split}=null" for split in ("train", "val", "test")]
-    row["learning_rate"] = 1.0e-3  # two frames leave none to score trials on
-    plan |= {"rows": {"kitti_eldenet": row}, "reference": []}
-    (folder / "sweep.yaml").write_text(json.dumps(plan))  # JSON is YAML
-    study = read_study(folder)
-    places = {"kitti": root, "kitti_raw": root.parent / "raw"}
-    outcomes = run(study, "kitti_eldenet", tmp_path / "runs", given=places)
-    assert [outcome.status for outcome in outcomes] == ["done"]
-    write_study_report(folder)
-    assert cells(folder)["KITTI, scratch/kitti_eldenet"]["seeds"] == "1"
