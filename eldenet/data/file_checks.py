@@ -124,40 +124,16 @@ def _scans(content: bytes) -> int:
     return count
 
 
-OTHER_FORMATS = (
-    (b"\0\0\0\x0cJXL ", "JPEG XL"),
-    (b"\xff\x0a", "JPEG XL"),
-    (b"\0\0\0\x0cjP  ", "JPEG 2000"),
-    (b"GIF8", "GIF"),
-    (b"8BPS", "Photoshop"),
-    (b"FUJIFILMCCD-RAW", "raw photo"),
-    (b"IIRO", "raw photo"),
-    (b"IIU\0", "raw photo"),
-    (b"II*\0\x10\0\0\0CR", "raw photo"),
-    (b"P1", "PBM or text PNM"),
-    (b"P2", "PBM or text PNM"),
-    (b"P3", "PBM or text PNM"),
-    (b"P4", "PBM or text PNM"),
-)
-"""First bytes of files in formats that nothing here reads, and their names."""
-
-
-def other_format(content: bytes) -> str:
-    """Return the name of a format that nothing here reads; empty: it is none of those.
-
-    A raw photo (DNG, NEF, ARW ...) is a TIFF whose first picture is a small preview or the sensor's numbers.
-    """
-    if content[4:8] == b"ftyp" and content[8:12] in (b"avif", b"avis", b"crx "):
-        return "raw photo" if content[8:12] == b"crx " else "AVIF"
-    name = next((name for magic, name in OTHER_FORMATS if content.startswith(magic)), "")
-    if content[:4] in (b"II*\0", b"MM\0*"):
-        try:
-            directory = _tiff_directory(content)
-            is_raw = DNG_VERSION in directory or directory.get(SUBFILE, 0) & 1
-            return "raw photo" if is_raw or directory.get(PHOTOMETRIC) in RAW_PHOTOMETRIC else name
-        except Exception:  # the check of TIFF says what is wrong
-            return name
-    return name
+def is_raw_photo(content: bytes) -> bool:
+    """Whether a TIFF is a raw photo (DNG, NEF ...): it holds a small preview, or the sensor's numbers."""
+    if content[:4] not in (b"II*\0", b"MM\0*"):
+        return False
+    try:
+        directory = _tiff_directory(content)
+        is_preview = DNG_VERSION in directory or directory.get(SUBFILE, 0) & 1
+        return bool(is_preview or directory.get(PHOTOMETRIC) in RAW_PHOTOMETRIC)
+    except Exception:  # the check of TIFF says what is wrong
+        return False
 
 
 def with_raw_orientation(content: bytes) -> bytes:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.data.array_files import check_pixels, read_array, read_bytes, read_exr, read_pfm
-from eldenet.data.file_checks import FORMATS, ORIENTATION, decode_picture, is_heif, other_format, picture_size
+from eldenet.data.file_checks import FORMATS, ORIENTATION, decode_picture, is_heif, is_raw_photo, picture_size
 
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", ".heic", ".heif")
 
@@ -231,11 +231,12 @@ def _suggest(raw: np.ndarray) -> str:
 
 def _decode(path: Path, flags: int) -> np.ndarray:
     content = read_bytes(path)
-    if other := other_format(content):
-        raise ValueError(f"{path} is of a format that is not read ({other}): convert it to JPEG or PNG")
     check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
-    if check is None and not is_heif(content):
-        raise ValueError(f"{path} ({len(content)} bytes) is not a JPEG, PNG, BMP, TIFF or binary PPM/PGM")
+    if (check is None and not is_heif(content)) or is_raw_photo(content):
+        raise ValueError(
+            f"{path} ({len(content)} bytes) is not a JPEG, PNG, BMP, TIFF, WebP, HEIC or binary PPM/PGM, or "
+            "it is a raw photo: convert it to JPEG or PNG"
+        )
     check_pixels(picture_size(content), path)
     fault = check(content) if check is not None else ""
     if not fault:

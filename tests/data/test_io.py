@@ -200,18 +200,11 @@ def test_a_ppm_of_any_peak_has_the_full_range(tmp_path: Path, peak: int) -> None
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"GIF89a" + bytes(20), "GIF"),
-        (b"\0\0\0\x1cftypavif" + bytes(20), "AVIF"),
-        (b"\0\0\0\x18ftypcrx " + bytes(20), "raw photo"),
-        (b"\xff\x0a" + bytes(20), "JPEG XL"),
-        (b"P3\n1 1\n255\n1 2 3\n", "PBM or text PNM"),
-    ],
+    "content", [b"GIF89a" + bytes(20), b"\0\0\0\x1cftypavif" + bytes(20), b"P3\n1 1\n9\n1 2 3\n"]
 )
-def test_formats_that_are_not_read_are_named(tmp_path: Path, content: bytes, said: str) -> None:
+def test_a_format_that_is_not_read_gets_what_to_do(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.jpg").write_bytes(content)
-    with pytest.raises(ValueError, match=rf"a\.jpg is of a format that is not read \({said}.*convert it"):
+    with pytest.raises(ValueError, match=r"a\.jpg .* is not a JPEG, PNG.*: convert it to JPEG or PNG"):
         read_image(tmp_path / "a.jpg")
 
 
