@@ -169,13 +169,7 @@ class DepthNet(Configurable, nn.Module):
         return DepthEstimate(depth, depth * spread, self.distribution)
 
     def rescale(self, factor: float) -> None:
-        """Make all depth ``factor`` times as large from now on; the head's range changes with it.
-
-        Raises:
-            ValueError: ``factor`` is not above 0.
-        """
-        if not factor > 0:
-            raise ValueError(f"factor={factor}: give a number above 0")
+        """Make all depth ``factor > 0`` times as large from now on; the head's range changes with it."""
         self.head = self.head.rescaled(factor)
         self.config["head"] = self.head.config
 

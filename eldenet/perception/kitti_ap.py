@@ -73,12 +73,10 @@ def average_precision(
         min_overlap: IoU above which a detection matches; None: the official one.
 
     Raises:
-        ValueError: unknown difficulty, metric or class, or lists of different lengths.
+        KeyError: unknown difficulty or class.
+        ValueError: unknown metric, or lists of different lengths.
     """
-    one_of("difficulty", difficulty, tuple(DIFFICULTIES))
     one_of("metric", metric, METRICS)
-    if min_overlap is None:
-        one_of("kind", kind, STRICT)
     overlap = STRICT[kind] if min_overlap is None else min_overlap
     rules = DIFFICULTIES[difficulty]
     frames = [_prepare(t, d, kind, rules, metric) for t, d in zip(truths, detections, strict=True)]

@@ -11,7 +11,7 @@ import numpy as np
 from eldenet.boxes import Box3D, Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.deploy.viewer import WORLD, log_boxes, log_camera, log_depth
-from eldenet.geometry import PinholeCamera, check_intrinsics
+from eldenet.geometry import PinholeCamera
 from eldenet.perception.detectors import Detector
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import to_labels, write_labels
@@ -146,7 +146,6 @@ class Perception:
         camera = camera or self.camera
         if camera is None:
             raise ValueError("Perception has no camera: give camera=")
-        check_intrinsics(camera.intrinsics, (image.shape[0], image.shape[1]))
         clock = [time.perf_counter()]
         if depth is None:
             assert self.depth_model is not None, "give depth="

@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.evaluation.cost import CostReport, peak_memory_mb
 from eldenet.system.timing import Waiting, median_ms, percentile_ms, time_interleaved
-from eldenet.uncertainty import NO_SIGMA
 
 
 class RuntimeNetwork(nn.Module):
@@ -47,9 +46,7 @@ class RuntimeNetwork(nn.Module):
     def _run(self, image: Tensor, with_spread: bool) -> Any:
         if not with_spread:
             return self.network(image)
-        depth, sigma, _ = self.network.predict(image.cpu().numpy())
-        if sigma is None:
-            raise ValueError(NO_SIGMA)
+        depth, sigma, _ = self.network.predict(image.cpu().numpy())  # asked only of files with sigma
         return tuple(torch.from_numpy(each).to(image.device) for each in (depth, sigma / depth))
 
 
