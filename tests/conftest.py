@@ -1,5 +1,6 @@
 """Shared by all tests: quiet threads, real data if the user has it, small data sets made on the spot."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -10,7 +11,12 @@ os.environ.setdefault("NO_ALBUMENTATIONS_UPDATE", "1")
 
 import torch
 
-REPOSITORY = Path(__file__).resolve().parent.parent
+gc.disable()  # while tests are collected: their modules and libraries stay
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()  # a search need not walk through all libraries each time
+    gc.enable()
 
 
 @pytest.fixture(autouse=True, scope="session")

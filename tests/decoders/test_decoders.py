@@ -1,6 +1,5 @@
 """The contract of every decoder that has a YAML file, and of every pair with a backbone."""
 
-import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -42,18 +41,12 @@ def ceil_size(size: tuple[int, int], stride: int) -> tuple[int, int]:
 # --- every backbone with every decoder ---
 
 
-@functools.lru_cache(maxsize=1)
 def backbone(name: str) -> Backbone:
     config = yaml.safe_load(BACKBONES[name].read_text())
     if config["_target_"].endswith("TimmBackbone"):
         pytest.importorskip("timm")
     torch.manual_seed(0)
     return build(config)
-
-
-@pytest.fixture(params=BACKBONES, scope="module")
-def backbone_name(request: pytest.FixtureRequest) -> str:
-    return request.param
 
 
 @pytest.fixture(params=DECODERS)
@@ -69,15 +62,13 @@ def test_the_yaml_shows_every_argument(name: str) -> None:
     assert content == build(content)(INFO).config
 
 
-def test_every_decoder_fits_every_backbone(backbone_name: str, decoder: Callable[..., Decoder]) -> None:
-    info = backbone(backbone_name).feature_info
-    made, maps = decoder(info), [feature.requires_grad_() for feature in features(64, 96, info)]
-    raw = made(maps)
-    assert raw.shape == (2, 1, *ceil_size((64, 96), made.stride))
-    assert torch.isfinite(raw).all()
-    (gradient,) = torch.autograd.grad(raw.square().mean(), maps[-1])
-    assert torch.isfinite(gradient).all()
-    assert gradient.abs().sum() > 0
+@pytest.mark.parametrize("name", BACKBONES)
+def test_every_decoder_fits_every_backbone(name: str, decoder: Callable[..., Decoder]) -> None:
+    """In shapes, which is all that the meta device computes: some have many weights."""
+    with torch.device("meta"):
+        info = backbone(name).feature_info
+        made = decoder(info)
+        assert made(features(64, 96, info)).shape == (2, 1, *ceil_size((64, 96), made.stride))
 
 
 @pytest.mark.parametrize("name", ["pplcnet_x0_25", "mobilenet_v3_small", "resnet18"])
@@ -91,9 +82,13 @@ def test_odd_image_sizes_round_up(name: str, decoder: Callable[..., Decoder]) ->
 
 
 def test_training_reaches_every_parameter(decoder: Callable[..., Decoder]) -> None:
-    made = decoder(INFO)
-    made(features(64, 96)).square().mean().backward()
+    made, maps = decoder(INFO), [feature.requires_grad_() for feature in features(64, 96)]
+    raw = made(maps)
+    assert torch.isfinite(raw).all()
+    raw.square().mean().backward()
     assert [name for name, value in made.named_parameters() if value.grad is None] == []
+    assert torch.isfinite(maps[-1].grad).all()
+    assert maps[-1].grad.abs().sum() > 0
 
 
 def test_the_order_of_the_features_does_not_matter(decoder: Callable[..., Decoder]) -> None:
