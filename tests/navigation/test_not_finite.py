@@ -84,9 +84,8 @@ def test_a_camera_height_can_be_given_with_the_depth() -> None:
     for height in (NAN, 0.0, -1.0, 40.0):  # 40: centimeters
         with pytest.raises(ValueError, match=f"camera_height={height:g}: give it in meters"):
             by_depth.step(DEPTH, GOAL, ODOMETRY, intrinsics=CAMERA, camera_height=height)
-    with pytest.raises(
-        ValueError, match="focal lengths above 0"
-    ):  # as ROS's CameraInfo of an uncalibrated one
+    # as ROS's CameraInfo of an uncalibrated one
+    with pytest.raises(ValueError, match="fx and fy above 0"):
         by_depth.step(DEPTH, GOAL, ODOMETRY, intrinsics=np.zeros((3, 3)))
 
 
