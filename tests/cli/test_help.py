@@ -74,7 +74,6 @@ def test_commands_print_the_advice_as_their_last_line(run_command):
         ("train output=/proc/runs/mine", "/proc/runs: No such file or directory"),
         ("train experiment=rooms_full", "+experiment"),
         ("train model=eldenet_s runtime.device=cuda", "device=cuda"),
-        ("train protocol=nyu_bts", "protocol nyu_bts scores raw ground truth"),
         ("train data=nyu_mat data.root=/nowhere", "/nowhere"),
         ("evaluate checkpoint=eldenet_s data=kitti_raw data.root=. ++data.test.split=val", "(data.val...)"),
         ("evaluate checkpoint=nowhere", "unknown model 'nowhere'"),

@@ -159,7 +159,8 @@ def test_the_devices_generator_is_kept(tmp_path, monkeypatch):
         model = torch.nn.Linear(2, 2)
         optimizer = torch.optim.SGD(model.parameters(), lr=0.1)
         scheduler = torch.optim.lr_scheduler.ConstantLR(optimizer)
-        return TrainingState(model, None, optimizer, scheduler, L1Loss(), None, Progress(), {})
+        identity = {"threads": 1}
+        return TrainingState(model, None, optimizer, scheduler, L1Loss(), None, Progress(), identity)
 
     state(7).save(tmp_path / "last.pt")
     state(3).restore(tmp_path / "last.pt", epochs=1, batches=1)
