@@ -323,10 +323,8 @@ def channel_statistics(dataset: DepthDataset, *, frames: int = 512, seed: int = 
     """Measure the colors of at most ``frames`` frames on disk, drawn by ``seed``; nothing is augmented.
 
     Raises:
-        ValueError: ``frames`` is below 1, or a channel is constant, so images cannot be divided by its std.
+        ValueError: a channel is constant, so images cannot be divided by its std.
     """
-    if frames < 1:
-        raise ValueError(f"frames={frames}: give at least 1")
     found, count = ChannelSums(), len(dataset.names)
     for index in sorted(np.random.default_rng(seed).permutation(count)[:frames].tolist()):
         found.add(dataset.load_frame(index).image)

@@ -43,14 +43,12 @@ class Mix(DepthDataset):
         **options: for every source; its own settings come first.
 
     Raises:
-        ValueError: no source has a weight, or a weight or ``frames`` is out of range.
+        ValueError: no source has a weight, or a weight is out of range.
     """
 
     def __init__(
         self, sources: Mapping[str, Mapping[str, Any]], frames: int, **options: Unpack[SampleOptions]
     ) -> None:
-        if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:
-            raise ValueError(f"frames={frames!r}: give the number of draws per epoch, 1 or more")
         built = {name: _source(name, given, options) for name, given in sources.items()}
         self.sources = {name: source for name, source in built.items() if source is not None}
         if not self.sources:

@@ -87,8 +87,6 @@ class RenderedScenes(DepthDataset):
         self.generator = chosen.with_focal(focal)._replace(near=near)
         size = self.default_size if size is None else size
         one_of("split", split, SPLITS)
-        if isinstance(frames, bool) or not isinstance(frames, int) or frames < 1:
-            raise ValueError(f"frames={frames!r}: give a whole number of frames, at least 1")
         if len(size) != 2 or min(size) < 16 or max(size) > 2048:
             raise ValueError(f"size={tuple(size)}: give (height, width), each 16 to 2048 pixels")
         if workers is not None and workers < 0:

@@ -112,8 +112,6 @@ def test_wrong_settings_are_named() -> None:
         mix(near=-1)
     with pytest.raises(ValueError, match="no source has a weight above 0"):
         mix(near=0, far=0)
-    with pytest.raises(ValueError, match="frames=0"):
-        mix(0)
     with pytest.raises(ValueError, match="give data, weight and relative"):
         Mix({"one": {"data": partial(SyntheticDepth), "share": 2}}, 5)
 

@@ -186,7 +186,7 @@ def test_a_failing_render_process_is_an_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        {"split": "training"}, {"frames": 0}, {"frames": 2.5}, {"size": (8, 160)}, {"size": (128,)},
+        {"split": "training"}, {"size": (8, 160)}, {"size": (128,)},
         {"max_depth": 20.0}, {"min_depth": 5.0, "max_depth": 1.0}, {"workers": -1},
     ],
 )  # fmt: skip
