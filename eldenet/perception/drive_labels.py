@@ -1,6 +1,7 @@
 """The depth that a drive's own motion tells, as a folder of sparse frames for ``eldenet adapt``."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,13 @@ from eldenet.deploy.prediction import Source
 from eldenet.deploy.video_files import VideoFile
 from eldenet.geometry import check_intrinsics, intrinsic_matrix, nearest_points
 from eldenet.results.run_log import RunLog
+from eldenet.system.files import safe_stem
 from eldenet.visualization import write_picture
 
 LEAST_POINTS = 50  # of a frame
 LEAST_FRAMES = 30
 LEAST_SPACING = 0.05  # of labeled pictures [m]
+LONGEST_STEP = 1.0  # between two poses [m]; a longer one joins two recordings
 
 Placed = tuple[str, np.ndarray, np.ndarray]
 """Name, picture ``(H, W, 3)`` uint8 RGB and pose ``(4, 4)`` of a frame."""
@@ -45,8 +48,8 @@ def label_drive(
     size = (first[1].shape[0], first[1].shape[1])
     check_intrinsics(matrix, size)
     depth = MotionDepth(matrix, size, None if poses.mount is None else poses.mount.height)
-    steps = [apart(*pair) for pair in zip(poses.cameras[:-1], poses.cameras[1:], strict=True)]
-    travel = sum(way + TURN_COUNTS * turn for way, turn in steps)
+    steps = [apart(*pair) for pair in pairwise(poses.cameras)]
+    travel = sum(min(way, LONGEST_STEP) + TURN_COUNTS * turn for way, turn in steps)
     counts: list[int] = []
     written = 0
 
@@ -62,8 +65,9 @@ def label_drive(
             if counts[-1] >= LEAST_POINTS:
                 columns, rows = np.rint(points.pixels).astype(np.int64).T
                 known = nearest_points(rows, columns, points.depth, depth.seen_size)
-                write_picture(folder / f"images/{written:06d}.png", view.image)
-                write_picture(folder / f"depths/{written:06d}.png", np.rint(known * 1000).astype(np.uint16))
+                name = f"{written:06d}-{safe_stem(Path(view.name).stem)}.png"
+                write_picture(folder / "images" / name, view.image)
+                write_picture(folder / "depths" / name, np.rint(known * 1000).astype(np.uint16))
                 written += 1
             bar.advance(1)
     if written < LEAST_FRAMES:
@@ -71,7 +75,8 @@ def label_drive(
             f"the motion tells the depth of {LEAST_POINTS} corners or more in {written} of {len(counts)} "
             f"pictures (median {np.median(counts):.0f} corners): {LEAST_FRAMES} pictures are needed. Drive "
             "on among things with texture, with several pictures per 0.1 m, and check that poses and "
-            "pictures have one clock, the unit of the poses, camera_pitch and intrinsics"
+            "pictures have one clock, the axes (x ahead, y left, heading counter-clockwise), camera_pitch "
+            "and intrinsics"
         )
     log.say(
         f"{written} of {len(counts)} pictures along {travel:.1f} m have {LEAST_POINTS} or more corners of "
