@@ -108,7 +108,7 @@ class MotionDepth:
             window.append((travel, view))
             if travel >= due:
                 waiting.append(window[-1])
-                due = travel + spacing
+                due = max(due, travel - spacing) + spacing
             while waiting and travel - waiting[0][0] > 2 * FARTHEST_VIEW:
                 yield self._solved(waiting.popleft(), window)
             first = waiting[0][0] if waiting else travel

@@ -59,8 +59,9 @@ def label_drive(
                 raise ValueError(f"{name} is {picture.shape[:2]}, the first picture {size}: give one size")
             yield depth.view(name, picture, pose)
 
-    with log.bar("depth from motion", most) as bar:
-        for view, points in depth.along(views(), max(LEAST_SPACING, travel / most)):
+    spacing = max(LEAST_SPACING, travel / most)
+    with log.bar("depth from motion", min(len(steps), round(travel / spacing)) + 1) as bar:
+        for view, points in depth.along(views(), spacing):
             counts.append(len(points.depth))
             if counts[-1] >= LEAST_POINTS:
                 columns, rows = np.rint(points.pixels).astype(np.int64).T
