@@ -7,8 +7,7 @@ the frames of ``dev``; all figures are of ``val``. What is in ``scores.jsonl.gz`
 """
 
 import argparse
-import os
-import tempfile
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,16 +38,16 @@ from eldenet.system.files import read_table, write_rows, write_text  # noqa: E40
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
 from eldenet.train import TrainSettings  # noqa: E402
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from places import camera_split  # noqa: E402
+
 HERE = Path(__file__).parent
 SCORES, IMAGES = HERE / "scores.jsonl.gz", HERE / "images.csv.gz"  # of each run; of its images
 LATENCY = "latency"  # name of a record of SCORES
 LEAST_SPREAD = 1e-4  # of the mirror-image trick, where both predictions agree
 COLUMNS = ("name", "abs_rel", "delta1", *UNCERTAINTY_METRICS)
-#: Place -> intrinsics at the pictures' size [px], and an input of 120 rows with the pictures' aspect.
-PLACES = {
-    "hololens_office": ([440.5, 440.4, 239.6, 150.4], [120, 180]),
-    "tum_fr3_cabinet": ([401.6, 404.4, 240.1, 185.7], [120, 160]),
-}
+#: Place -> an input of 120 rows with its pictures' aspect.
+PLACES = {"hololens_office": (120, 180), "tum_fr3_cabinet": (120, 160)}
 PLAIN = "plain"
 
 
@@ -100,22 +99,6 @@ def nyu(split: str) -> tuple[DepthDataset, EvalProtocol]:
     return open_split(config.data, "val", protocol), protocol
 
 
-def other_camera(place: str) -> tuple[DepthDataset, EvalProtocol]:
-    """All frames of one place of ``$ELDENET_DATA/other_cameras``."""
-    root = Path(os.environ["ELDENET_DATA"]) / "other_cameras"
-    lines = [line for line in (root / "pairs.csv").read_text().splitlines() if line.startswith(place)]
-    intrinsics, size = PLACES[place]
-    with tempfile.NamedTemporaryFile("w", suffix=".csv") as table:
-        table.write("\n".join(",".join(line.split(",")[:2]) for line in lines))
-        table.flush()
-        data = ["data=folder", f"data.root={root}", f"data.csv={table.name}", f"data.intrinsics={intrinsics}"]
-        words = [*data, f"data.input_size={size}", "data.val_fraction=0.5", "data.blocks=2"]
-        config = compose(TrainSettings, [*words, "model_name=any", "output=any"])
-        protocol = chosen_protocol(config.data, config.protocol)
-        config.data["val"]["split"] = "all"
-        return open_split(config.data, "val", protocol), protocol
-
-
 def measure(run: Path, name: str) -> None:
     """Score one training and add its figures under its name."""
     model = eldenet.load(str(run)).eval()
@@ -154,7 +137,8 @@ def image_rows() -> list[dict[str, str]]:
 
 def elsewhere(model: DepthNet, place: str) -> dict[str, float]:
     """Figures on another camera's frames: sigma as it comes."""
-    found = score(model, *other_camera(place))
+    protocol, frames = camera_split(place, PLACES[place])
+    found = score(model, frames, protocol)
     assert found.own is not None
     means = {"abs_rel": float(np.mean([row[1] for row in found.depth]))}
     means["delta1"] = float(np.mean([row[2] for row in found.depth]))
