@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from torch import nn
+from torch.nn.modules.batchnorm import _BatchNorm
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR, ReduceLROnPlateau
 
@@ -90,16 +91,19 @@ def fused(make: Callable[..., Optimizer]) -> Callable[..., Optimizer]:
 def frozen_parts(model: nn.Module, names: Sequence[str]) -> list[nn.Module]:
     """Return the parts of a model's network with these names, whose weights no longer learn.
 
+    "batchnorm" names every BatchNorm: its average over batches of many shapes or data sets is that of none.
+
     Raises:
         ValueError: there is no such part, or nothing is left to learn.
     """
     network = getattr(model, "network", model)
     parts = dict(network.named_modules())
+    parts["batchnorm"] = nn.ModuleList(part for part in parts.values() if isinstance(part, _BatchNorm))
     for name in names:
         if name not in parts or not name:
             raise ValueError(
                 f"freeze={name}: this network has no such part; it has "
-                f"{', '.join(name for name, _ in network.named_children())}"
+                f"{', '.join(name for name, _ in network.named_children())}, and batchnorm"
             )
         parts[name].requires_grad_(False)
     if not any(parameter.requires_grad for parameter in model.parameters()):

@@ -80,7 +80,7 @@ class Trainer:
         max_grad_norm: gradients are clipped to this norm; None: not clipped.
         backbone_lr_factor: learning rate of the backbone, relative to the optimizer's.
         freeze: parts of the network, such as ``["backbone"]``, that do not learn: their weights and BatchNorm
-            statistics stay.
+            statistics stay. "batchnorm": every BatchNorm.
         ema_decay: decay of an exponential moving average of the weights, which is then evaluated and saved;
             None: no average.
         channels_last: memory layout of images and weights.

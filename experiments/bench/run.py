@@ -38,11 +38,13 @@ from places import OTHER_CAMERAS, camera_frames, split_frames  # noqa: E402
 
 HERE = Path(__file__).parent
 STORED = HERE / "frames.csv.gz"
+ROOMS = ["data=rooms", "data.size=[192,256]", "data.frames.test=64", "data.detail=true"]
 #: Place -> settings of its frames and their split; the others are places of other cameras.
 SPLITS = {
     "nyu": (["data=nyu_labelled"], "val"),
     "nyu_dev": (["data=nyu_labelled", "data.val.split=dev"], "val"),
-    "rooms": (["data=rooms", "data.size=[192,256]", "data.frames.test=64", "data.detail=true"], "test"),
+    "rooms": (ROOMS, "test"),
+    "rooms_near": ([*ROOMS, "data.near=true"], "test"),
 }
 PLACES = (*SPLITS, *OTHER_CAMERAS)
 SHAPES = {"16:9": 16 / 9, "2:1": 2.0, "3:4": 3 / 4, "9:16": 9 / 16}  # width / height

@@ -68,6 +68,11 @@ def test_a_frozen_part_stays_as_it_is_with_its_statistics(tmp_path):
     changed = {name for name, value in model.state_dict().items() if not torch.equal(value, before[name])}
     assert changed
     assert all(name.startswith("network.decoder") for name in changed)
+    _, model, _ = fit(tmp_path / "batchnorm", freeze=["batchnorm"], epochs=1)
+    changed = {name for name, value in model.state_dict().items() if not torch.equal(value, before[name])}
+    norms = [name for name, part in model.named_modules() if isinstance(part, nn.BatchNorm2d)]
+    assert changed
+    assert not [name for name in changed if name.rpartition(".")[0] in norms]
     for names, line in (
         (["backbon"], r"freeze=backbon: this network has no such part; it has backbone, decoder"),
         (["backbone", "decoder"], "leaves nothing to learn"),
