@@ -203,7 +203,7 @@ def plot(groups: dict[tuple[str, str, str], dict[str, list[dict[str, str]]]]) ->
     names = sorted({weights for _, weights, _ in groups})
     pyplot = pyplot_for_files()
     figure, axes = pyplot.subplots(
-        1, len(places), figsize=(2.8 * len(places), 3.6), sharey=True, squeeze=False, layout="constrained"
+        1, len(places), figsize=(2.8 * len(places), 3.9), sharey=True, squeeze=False, layout="constrained"
     )
     for axis, place in zip(axes[0], places, strict=True):
         for (where, weights, _), views in groups.items():
@@ -215,7 +215,8 @@ def plot(groups: dict[tuple[str, str, str], dict[str, list[dict[str, str]]]]) ->
         axis.tick_params(axis="x", rotation=60, labelsize=8)
         axis.grid(alpha=0.3)
     axes[0, 0].set_ylabel("δ1, unaligned")
-    axes[0, 0].legend(fontsize=7)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
     save_figure(figure, HERE / "bench.png")
 
 
