@@ -16,7 +16,7 @@ from eldenet.navigation.policy_files import DEFAULT_WEIGHTS
 from eldenet.navigation.provenance import driver_identity
 from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
-from eldenet.simulation.arenas import Arena, generate_arena
+from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 
 
@@ -130,35 +130,6 @@ def test_its_dynamic_window_keeps_out_of_places_that_nobody_saw():
     free = window.choose(nothing, (1.3, 0.0), (0.5, 0.0))
     assert free[0] > 0.5
     assert window.choose(nothing, (1.3, 0.0), (0.5, 0.0), wall)[0] <= 0.3
-
-
-@pytest.mark.parametrize("side", [-1, 1])
-def test_it_turns_on_the_spot_to_where_nothing_unseen_is(side):
-    ahead = np.stack([np.full(13, 0.41), np.linspace(-0.3, 0.3, 13)], axis=1)
-    beside = np.array([[0.2, 0.36 * side]])  # where its front corner would pass
-    window, goal = DynamicWindow(), (1.0, 0.5 * side)
-    assert window.choose(ahead, goal, (0.0, 0.0)) == (0.0, 0.8 * side)
-    assert window.choose(ahead, goal, (0.0, 0.0), beside) == (0.0, -0.8 * side)
-
-
-@pytest.mark.parametrize(("kind", "index"), [("office", 113), ("rooms", 144)])
-def test_it_hits_no_side_of_a_thing_that_it_never_saw(kind, index):
-    """It turns around a box and a cylinder of which it saw the front only."""
-    arena = generate_arena("val", 10, index, kind=kind)
-    settings = EpisodeSettings("wheels", time_limit=12.0)
-    (row,) = run_episodes([arena], lambda robots: PlanAndSteer(robots=robots), Ranges(), settings)
-    assert row.outcome == "timeout"
-
-
-@pytest.mark.parametrize("heeds", [True, False])
-def test_what_its_memory_forgets_stands_on_its_map(heeds):
-    driver, pose = PlanAndSteer(heeds_unseen=heeds), np.zeros(3)
-    for _ in range(3):
-        driver.commands(Senses(np.full((1, ROBOT.columns), 2.0), pose[None], np.array([[8.0, 0.0]])))
-    driver.observer.memory.reset(0)
-    walls = driver._walls(0, pose, np.empty((0, 2)))
-    assert (np.abs(np.hypot(*(walls - (ROBOT.camera_ahead, 0)).T) - 2.0) < 0.1).all()
-    assert (len(walls) > 10) == heeds
 
 
 def test_beside_a_wall_it_may_turn_away():

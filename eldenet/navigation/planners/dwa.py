@@ -57,8 +57,7 @@ class DynamicWindow:
             points: ``(M, 2)`` obstacle points in the robot's frame [m].
             target: x ahead, y left [m].
             last: the current command.
-            unseen: ``(M, 2)`` points that nobody has seen [m]: arcs and turns end there too, but need no room
-                beside.
+            unseen: ``(M, 2)`` points that nobody has seen [m]: arcs end there too, but need no room beside.
         """
         near = (np.abs(points) < REACH).all(axis=1)
         cells = self.table.cells(points[near, 0], points[near, 1])
@@ -68,11 +67,9 @@ class DynamicWindow:
             gap = self.table.gap[cells].min(axis=0) / 100.0
         else:
             free, gap = np.full(len(self.speed), HORIZON), np.full(len(self.speed), ENOUGH)
-        seen = np.full(len(self.speed), HORIZON)  # time until an arc meets what nobody has seen [s]
         if unseen is not None and (near := (np.abs(unseen) < REACH).all(axis=1)).any():
             cells = np.unique(self.table.cells(unseen[near, 0], unseen[near, 1]))
-            seen = self.table.time[cells].min(axis=0) * STEP
-            free = np.minimum(free, seen)
+            free = np.minimum(free, self.table.time[cells].min(axis=0) * STEP)
         window = (np.abs(self.speed - last[0]) <= ACCELERATION * ROBOT.period + 1e-9) & (
             np.abs(self.turn - last[1]) <= TURN_ACCELERATION * ROBOT.period + 1e-9
         )
@@ -94,7 +91,7 @@ class DynamicWindow:
             best = int(np.argmax(np.where(allowed, score, -np.inf)))
             return float(self.speed[best]), float(self.turn[best])
         # no safe arc: brake as hard as the window allows, and turn
-        turn = self._turn_on_the_spot(np.where(seen < STOPPING_TIME, 0.0, gap), y, last)
+        turn = self._turn_on_the_spot(gap, y, last)
         return _within(0.0, last[0], ACCELERATION), _within(turn, last[1], TURN_ACCELERATION)
 
     def _turn_on_the_spot(self, gap: np.ndarray, y: float, last: tuple[float, float]) -> float:

@@ -11,12 +11,10 @@ from eldenet.simulation.obstacle import SIDE
 from eldenet.simulation.robot import ROBOT
 
 SURE = 4  # evidence of a cell that is occupied for sure, of 8
-LEAST_PART = 6  # cells of a place that was never seen, near walls
 LEAST_ROOM, NEAR = 0.20, 0.5  # clearance of a way [m]; distance to the robot and to a goal that counts [m]
 TIGHT = 0.30  # inflation if no path exists at the full one [m]
-_UNDER = np.stack(  # the robot's footprint [m]
-    np.meshgrid(*(np.linspace(-half, half, 13) for half in (ROBOT.length / 2, ROBOT.width / 2))), axis=-1
-).reshape(-1, 2)
+_UNDER = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-6, 7)), axis=-1).reshape(-1, 2) * RESOLUTION / 2
+_UNDER = _UNDER[np.hypot(*_UNDER.T) < ROBOT.length / 2]  # a disc under the robot [m]
 _MARGIN = 2.0  # around the map: odometry may drift out of the arena [m]
 
 
@@ -72,8 +70,7 @@ class OnlineMap:
         grid[cells] = np.maximum(grid[cells] - 1, -2)
         met = steps[None, :] < free[:, None] + RESOLUTION / 2
         self.seen[self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[met]))] = True
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        self.seen[self.cells(self._inside(pose[:2] + _UNDER @ np.array([[c, s], [-s, c]])))] = True
+        self.seen[self.cells(self._inside(pose[:2] + _UNDER))] = True
         ends = ranges < ROBOT.far
         cells = self.cells(self._inside(camera + ranges[ends, None] * rays[ends]))
         grid[cells] = np.minimum(np.maximum(grid[cells], 0) + 2, 8)
@@ -95,20 +92,16 @@ class OnlineMap:
     def unseen_near(self, pose: np.ndarray, reach: float) -> np.ndarray:
         """Centers ``(M, 2)`` [m] of cells within ``reach`` that were never seen.
 
-        Cells beside a seen one do not count: a camera may not see them from where the robot came. But near a
-        wall they do, for walls go on and things have a side that is not seen yet; there only slivers do not,
-        for rays leave gaps.
+        Cells beside a seen one do not count: a camera may not see them from where the robot came. But beside
+        a wall they do, for walls go on.
         """
         import cv2
 
         centers, inside, window = self._around(pose, reach)
-        seen, square = self.seen[window].astype(np.uint8), np.ones((3, 3), np.uint8)
-        beside = cv2.dilate(seen, square) > 0
-        walls = cv2.dilate((self.evidence[window] > 0).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
-        closed = cv2.morphologyEx(np.pad(seen, 3), cv2.MORPH_CLOSE, square)[3:-3, 3:-3]
-        _, parts, sizes, _ = cv2.connectedComponentsWithStats(1 - closed)
-        large = (closed == 0) & (sizes[:, cv2.CC_STAT_AREA] >= LEAST_PART)[parts]
-        return centers[inside & ((seen == 0) & (~beside | (walls & large))).ravel()]
+        seen = self.seen[window]
+        beside = cv2.dilate(seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        walls = cv2.dilate((self.evidence[window] > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        return centers[inside & ~(seen | (beside & ~walls)).ravel()]
 
     def _around(self, pose: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, tuple[slice, slice]]:
         """Centers ``(M, 2)`` [m] of a window of cells, which are within ``reach`` [m], and the window."""

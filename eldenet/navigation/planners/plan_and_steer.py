@@ -16,11 +16,11 @@ import torch
 
 from eldenet.navigation.collision_arcs import REACH, STEP, ArcTable, arc_table
 from eldenet.navigation.observer import Senses
-from eldenet.navigation.obstacle_memory import MEMORY_REACH, Memory
+from eldenet.navigation.obstacle_memory import Memory
 from eldenet.navigation.on_robot import OnRobot
 from eldenet.navigation.planners.astar import goal_in_world, to_robot
 from eldenet.navigation.planners.dwa import DynamicWindow
-from eldenet.navigation.planners.online_map import SURE, OnlineMap
+from eldenet.navigation.planners.online_map import OnlineMap
 from eldenet.navigation.policy import Driver, Navigator
 from eldenet.navigation.safety_margins import BESIDE, FAST_ROOM, STEER_MARGIN, STEER_ROOM, WINDOW_SLACK
 from eldenet.simulation.robot import ROBOT
@@ -41,14 +41,13 @@ SIDEWAYS = 0.1  # speed across its heading from which on a robot slides [m/s]; a
 SLIDING_FOR = 5.0  # time for which it then drives slower [s]
 SLIDING_SPEED = 0.5  # of it then, relative to the learned driver's
 FREE_START = 0.6  # radius around the start that counts as seen [m]
-BEFORE = 0.07  # by which the side of a thing may lie before a cell that was never seen [m]
 LOOK_WAY, LOOK_TURN = 0.3, 2 * math.pi  # turns so far within a way, it has seen what can be seen [m], [rad]
 UNSEEN_REACH = 1.6  # distance up to which unseen places count [m]
 CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] after a way [m] and a time [s]
 OUT_OF_CIRCLE = 8.0  # time for which the dynamic window alone then follows a path through wide places [s]
 BACK, BACKS_FOR = (-0.25, 0.0), 2.0  # command [m/s], [rad/s] of a robot that can only stand, for a time [s]
 #: Of what this driver decides, without and with ``heeds_unseen``; stored rows name it.
-STEER_VERSION, HEEDS_VERSION = 4, 2
+STEER_VERSION, HEEDS_VERSION = 4, 1
 _LEVELS = 20  # of speed in the table of arcs
 
 
@@ -156,15 +155,14 @@ class PlanAndSteer(OnRobot):
                 self._sliding[robot] = round(SLIDING_FOR / ROBOT.period)
             self._before[robot] = pose
             self._plan(robot, pose, goal_in_world(pose, goal[robot]))
-            goal[robot] = self._waypoint(robot, pose, goal[robot], self._walls(robot, pose, before[robot]))
+            goal[robot] = self._waypoint(robot, pose, goal[robot], before[robot])
         observation = self.observer.observe(senses._replace(goal=goal), who)
         actions = self.navigator.network(torch.from_numpy(observation).double()).argmax(1).numpy()
         after = self._remembered(senses, who)
         out = self.observer.last.copy()
         for robot, action in zip(who.tolist(), actions, strict=True):
             wanted = self.observer.speeds[robot, action], self.observer.turn_rates[action]
-            walls = self._walls(robot, poses[robot], after[robot])
-            unseen = self._unseen(robot, poses[robot])
+            walls, unseen = after[robot], self._unseen(robot, poses[robot])
             backs = self._backs[robot] > 0
             if not backs and self._left[robot] == 0 and self._is_safe(robot, int(action), walls, unseen):
                 if self._sliding[robot] > 0:
@@ -185,13 +183,6 @@ class PlanAndSteer(OnRobot):
         row, x, y, _ = self.observer.memory.near(senses.odometry[who], who)
         points = np.stack([x, y], axis=1)
         return {int(robot): points[row == number] for number, robot in enumerate(who)}
-
-    def _walls(self, robot: int, pose: np.ndarray, remembered: np.ndarray) -> np.ndarray:
-        """Remembered points and what the map is sure of, for it forgets less; ``(M, 2)`` [m] each."""
-        if not self.heeds_unseen:
-            return remembered
-        centers, evidence = self._maps[robot].near(pose, MEMORY_REACH)
-        return np.concatenate([remembered, to_robot(centers[evidence >= SURE], pose)])
 
     def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> None:
         """Search the path from ``pose (3,)`` every second, and at once when the robot drives a circle."""
@@ -241,12 +232,11 @@ class PlanAndSteer(OnRobot):
         return to_robot(centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)], pose)
 
     def _hidden(self, robot: int, pose: np.ndarray) -> np.ndarray:
-        """As :meth:`_unseen`, but without slivers, and nearer; none once the robot has looked all round."""
+        """As :meth:`_unseen`, but without slivers; none once the robot has looked all round."""
         if not self.heeds_unseen or self._looks[robot, 2] > LOOK_TURN:
             return np.empty((0, 2))
         centers = self._maps[robot].unseen_near(pose, UNSEEN_REACH)
-        points = to_robot(centers[np.hypot(*centers.T) > FREE_START], pose)
-        return points * (1 - BEFORE / np.hypot(*points.T).clip(BEFORE)[:, None])
+        return to_robot(centers[np.hypot(*centers.T) > FREE_START], pose)
 
     def _looked(self, robot: int, command: np.ndarray, pose: np.ndarray) -> None:
         """Count how far it has turned where it stands, ``pose (3,)``."""
