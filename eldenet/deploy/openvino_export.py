@@ -3,6 +3,7 @@
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,19 @@ def decline_telemetry() -> None:
         telemetry.main.TelemetrySender.send = lambda *message: None
 
 
+@cache
+def openvino_core() -> Any:
+    """Return OpenVINO's core, one for the whole process.
+
+    Its CPU plugin takes over the stack on which this thread handles signals. After two plugins that end in
+    the order in which they began, that stack is gone, and the next signal (Ctrl-C) is a crash.
+    """
+    decline_telemetry()
+    import openvino
+
+    return openvino.Core()
+
+
 def write_openvino(source: str | Path, path: str | Path, metadata: Mapping[str, str]) -> Path:
     """Convert an ONNX file to OpenVINO IR (``.xml`` + ``.bin``) with fp32 weights."""
     decline_telemetry()
@@ -43,12 +57,10 @@ def quantize_openvino(
     from eldenet.deploy.onnx_export import quiet
 
     decline_telemetry()
-    import openvino
-
     require("int8 for OpenVINO", "nncf")
     with quiet():
         import nncf
-    network = openvino.Core().read_model(str(source))
+    network = openvino_core().read_model(str(source))
     convolutions = [op for op in network.get_ordered_ops() if op.get_type_name() == "Convolution"]
     stem = [op.get_friendly_name() for op in convolutions[:1]]
     with quiet():

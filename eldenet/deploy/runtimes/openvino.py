@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.deploy.metadata import read_metadata
-from eldenet.deploy.openvino_export import decline_telemetry
+from eldenet.deploy.openvino_export import openvino_core
 from eldenet.deploy.runtimes.base import Runtime, refuse
 from eldenet.system.errors import reading
 from eldenet.system.onnx_files import EXPORT_AGAIN
@@ -35,10 +35,7 @@ class OpenvinoRuntime(Runtime):
     def __init__(
         self, path: str | Path, *, precision: str | None = None, threads: int = 1, device: str = "cpu"
     ) -> None:
-        decline_telemetry()
-        import openvino
-
-        core = openvino.Core()
+        core = openvino_core()
         name = device.upper()
         if name.partition(".")[0] not in {each.partition(".")[0] for each in core.available_devices}:
             raise ValueError(
