@@ -10,6 +10,7 @@ then turn; real places are those of ``$ELDENET_DATA/other_cameras``, whose camer
 
 import csv
 import os
+import shutil
 import sys
 import tempfile
 import time
@@ -53,8 +54,8 @@ ARENA = {
     "arena_robot": Camera(0.40, 0.722, 0.0, (1.0, 1.0, 1.0), 0.3),
 }
 RENDERED = {**{name: CAMERAS[name] for name in ("robot_wide", "robot_tele")}, **ARENA}
-PARTS, WAY = 4, 9.0  # rooms that a robot drives through, and its way in each [m]
-REPORT_PARTS = 2  # rooms that only report
+PARTS, WAY = 2, 6.0  # rooms that a robot drives through, and its way in each [m]
+REPORT_PARTS = 1  # rooms that only report
 STEP, TURN, CLOSE = 0.05, 0.09, 0.35  # of a drive [m], [rad], and room that it keeps [m]
 HEADER = ["place", "seed", "pictures", "corners", "label_error", "kept", "report_frames"]
 HEADER += [f"{name}_{when}" for name in ("abs_rel", "near", "scale") for when in ("before", "after")]
@@ -262,6 +263,7 @@ def trial(place: str, seed: int) -> list[object]:
     """Adapt on one drive; return a row of ``drives.csv``."""
     started = time.monotonic()
     folder = WORK / f"{place}-{seed}"
+    shutil.rmtree(folder, ignore_errors=True)  # of a trial that was stopped
     given, lens, report = prepare(place, seed, folder)
     words = [f"source={folder / 'drive/pictures'}", f"poses={folder / 'poses.csv'}", *given]
     words += [f"intrinsics={list(lens)}", "trainer.epochs=10", "minutes=60", f"seed={seed}"]
