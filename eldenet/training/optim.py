@@ -91,7 +91,7 @@ def fused(make: Callable[..., Optimizer]) -> Callable[..., Optimizer]:
 def frozen_parts(model: nn.Module, names: Sequence[str]) -> list[nn.Module]:
     """Return the parts of a model's network with these names, whose weights no longer learn.
 
-    "batchnorm" names every BatchNorm: its average over batches of many shapes or data sets is that of none.
+    "batchnorm" names every BatchNorm.
 
     Raises:
         ValueError: there is no such part, or nothing is left to learn.
