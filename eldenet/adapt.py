@@ -117,7 +117,12 @@ def _label(s: AdaptSettings) -> AdaptSettings:
     from eldenet.results.run_log import RunLog
 
     labels = Path(s.output) / "labels"
+    copied = labels / "poses.csv"
+    if labels.exists() and not copied.exists():
+        raise ValueError(f"{labels} exists and is not adapt's: give another output=")
     shutil.rmtree(labels, ignore_errors=True)  # of a run that was stopped
+    labels.mkdir(parents=True)
+    shutil.copyfile(poses.path, copied)
     camera = label_drive(source, poses, s.intrinsics, labels, s.frames, RunLog(Path(s.output)))
     read = {"root": str(labels), "intrinsics": camera, "ground_truth": "sparse"}
     data = {**s.data, **read, "protocol": {**s.data["protocol"], "ground_truth": "sparse"}}

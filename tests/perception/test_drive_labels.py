@@ -90,6 +90,15 @@ def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path
     assert np.percentile(np.concatenate(errors), 90) < 0.2
 
 
+def test_labels_of_somebody_else_are_not_replaced(tmp_path):
+    drive(tmp_path, seconds=4.0)
+    (tmp_path / "run/labels").mkdir(parents=True)
+    (tmp_path / "run/labels/mine.png").write_text("mine")
+    with pytest.raises(ValueError, match="labels exists and is not adapt's: give another output="):
+        adapt(setup(tmp_path))
+    assert (tmp_path / "run/labels/mine.png").read_text() == "mine"
+
+
 @pytest.mark.parametrize(
     ("sign", "later", "said"),
     [
