@@ -25,7 +25,7 @@ def test_help_shows_the_settings_with_their_comments(command, run_command):
     assert "\nhydra:" not in finished.stdout
     choices = finished.stdout.partition("Choices of its groups:\n")[2]
     assert ("model/head: inverse, linear, log, scaled, uncertain\n" in choices) == (command == "train")
-    assert ("sensor: camera, depth_camera, mixed" in choices) == (command == "navigate")
+    assert ("sensor: camera, centers, depth_camera, mixed" in choices) == (command == "navigate")
     assert max(map(len, choices.splitlines()), default=0) <= 80
     assert finished.stdout.rstrip().endswith(f"python -m {module} --cfg job")
 
