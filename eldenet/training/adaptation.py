@@ -15,7 +15,7 @@ import torch
 import eldenet
 from eldenet.compose import listed
 from eldenet.configurable import instantiate
-from eldenet.data.base import DepthDataset
+from eldenet.data.base import SPARSE, DepthDataset
 from eldenet.data.loaders import collate
 from eldenet.data.splits import evenly_spaced
 from eldenet.evaluation.calibration import fit_temperature
@@ -304,12 +304,16 @@ def _changes(before: list[tuple[Any, ...]], after: list[tuple[Any, ...]]) -> dic
 @torch.inference_mode()
 def _draw(path: Path, frames: DepthDataset, before: DepthNet, after: DepthNet) -> None:
     """Draw three held-out frames: image, truth, before, after, with a scale in meters."""
+    import cv2
+
     device = next(after.parameters()).device
     rows = []
     for index in evenly_spaced(len(frames), 3):
         frame, sample = frames.load_frame(index), frames[index]
         size = panel_size(frame.image)
         truth = _nearest(sample["depth"][0].numpy(), size)
+        if frames.ground_truth in SPARSE:  # single points are hard to see
+            truth = cv2.dilate(truth, np.ones((5, 5), np.uint8))
         image, focal = sample["image"][None].to(device), sample["intrinsics"][None, 0, 0].to(device)
         maps = []
         for model in (before, after):
