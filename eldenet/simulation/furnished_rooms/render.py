@@ -80,6 +80,14 @@ def draw_intrinsics(draw: Draw, size: tuple[int, int], focal: tuple[float, float
     return pinhole(fx, fy, cx, cy)
 
 
+def _handful_of_rays(camera: RayCamera) -> RayCamera:
+    """The same camera with 9 x 12 pixels."""
+    height, width = camera.size
+    probe_size = (9, 12)
+    scale = np.diag([probe_size[1] / width, probe_size[0] / height, 1.0])
+    return RayCamera(probe_size, scale @ camera.intrinsics)
+
+
 def choose_pose(
     room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -91,10 +99,7 @@ def choose_pose(
     Each candidate casts a handful of rays; the first that is neither too close to a wall nor faces an empty
     room is taken.
     """
-    height, width = camera.size
-    probe_size = (9, 12)
-    scale = np.diag([probe_size[1] / width, probe_size[0] / height, 1.0])
-    probe = RayCamera(probe_size, scale @ camera.intrinsics)
+    probe = _handful_of_rays(camera)
     sx, sy, h = room.room.size
     nearest = draw.uniform(0.4, 1.0)
     wanted = draw.uniform(0.7, 3.2)
@@ -144,10 +149,7 @@ def choose_near_pose(
     Of 20 candidates, the one whose median depth is closest to a drawn one of 0.3 to 1.2 m is taken; no pixel
     of its handful of rays is nearer than 0.15 m.
     """
-    height, width = camera.size
-    probe_size = (9, 12)
-    scale = np.diag([probe_size[1] / width, probe_size[0] / height, 1.0])
-    probe = RayCamera(probe_size, scale @ camera.intrinsics)
+    probe = _handful_of_rays(camera)
     sx, sy, h = room.room.size
     wanted = draw.uniform(0.3, 1.2)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
