@@ -98,13 +98,13 @@ def frozen_parts(model: nn.Module, names: Sequence[str]) -> list[nn.Module]:
     """
     network = getattr(model, "network", model)
     parts = dict(network.named_modules())
-    parts["batchnorm"] = nn.ModuleList(part for part in parts.values() if isinstance(part, _BatchNorm))
+    choices = [name for name, _ in network.named_children()]
+    if norms := [part for part in parts.values() if isinstance(part, _BatchNorm)]:
+        parts["batchnorm"] = nn.ModuleList(norms)
+        choices.append("batchnorm")
     for name in names:
         if name not in parts or not name:
-            raise ValueError(
-                f"freeze={name}: this network has no such part; it has "
-                f"{', '.join(name for name, _ in network.named_children())}, and batchnorm"
-            )
+            raise ValueError(f"freeze={name}: this network has no such part; it has {', '.join(choices)}")
         parts[name].requires_grad_(False)
     if not any(parameter.requires_grad for parameter in model.parameters()):
         raise ValueError(f"freeze={list(names)} leaves nothing to learn: leave a part out")

@@ -18,7 +18,7 @@ from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.ssim import SSIMLoss
 from eldenet.training.cuda_graph import WARM_UP, GraphedStep
-from eldenet.training.optim import constant, fused, plateau
+from eldenet.training.optim import constant, frozen_parts, fused, plateau
 from eldenet.training.profile import PARTS
 from eldenet.training.trainer import Trainer, TrainingData
 
@@ -79,6 +79,8 @@ def test_a_frozen_part_stays_as_it_is_with_its_statistics(tmp_path):
     ):
         with pytest.raises(ValueError, match=line):
             fit(tmp_path / "new", freeze=names, epochs=1)
+    with pytest.raises(ValueError, match="freeze=batchnorm: this network has no such part; it has 0"):
+        frozen_parts(nn.Sequential(nn.Conv2d(3, 1, 1)), ["batchnorm"])
 
 
 def start() -> nn.Module:
