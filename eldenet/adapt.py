@@ -59,9 +59,8 @@ class AdaptSettings:
 
     def __post_init__(self) -> None:
         height, pitch = self.camera_height, self.camera_pitch
-        in_files = (
-            height is None and self.poses is None and isinstance(self.intrinsics, str | dict)
-        )  # as data.intrinsics
+        # as data.intrinsics
+        in_files = height is None and self.poses is None and isinstance(self.intrinsics, str | dict)
         if self.intrinsics is not None and not in_files:
             intrinsic_matrix(self.intrinsics)  # a mistake ends before torch is loaded
         if not 0 < self.minutes < math.inf:
