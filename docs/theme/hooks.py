@@ -118,6 +118,7 @@ REFERENCE = {
             "eldenet.navigation.planners.plan_and_steer.PlanAndSteer",
             "eldenet.navigation.on_robot.OnRobot",
             "eldenet.navigation.observer.Senses",
+            "eldenet.navigation.lidar.Scan",
             "eldenet.navigation.range_filter.RangeFilter",
             "eldenet.navigation.range_scale.RangeScale",
             "eldenet.navigation.localization.Localizer",

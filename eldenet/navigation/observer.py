@@ -23,7 +23,7 @@ import numpy as np
 
 from eldenet.navigation.collision_arcs import REACH, STEP, arc_table
 from eldenet.navigation.obstacle_memory import MEMORY_REACH, Memory
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, front
 from eldenet.system.checks import one_of
 
 SECTORS = 5
@@ -36,7 +36,9 @@ class Senses(NamedTuple):
     """What ``N`` robots sense at one time.
 
     Attributes:
-        ranges: ``(N, columns)`` [m] from the camera, right to left; see :class:`~.robot.Robot`.
+        ranges: ``(N, columns)`` [m] from the camera, right to left: those of
+            :data:`~eldenet.simulation.robot.ROBOT`, or a lidar's all round
+            (:data:`~eldenet.simulation.robot.ALL_ROUND`).
         odometry: ``(N, 3)`` x, y [m], heading [rad] of the wheels, which drift.
         goal: ``(N, 2)`` distance [m] and bearing [rad, counter-clockwise from ahead] of the next way-point.
         cautious: ``(N, columns)`` [m] how near things may be, where a camera's network predicts its sigma; 0
@@ -154,9 +156,9 @@ class Observer:
         if seen.not_finite:
             raise ValueError(f"{seen.not_finite}: stop the robot until they are")
         distance, bearing = goal.T
-        nearest = ranges.reshape(len(who), SECTORS, -1).min(axis=2)
+        nearest = np.maximum(front(ranges), ROBOT.near).reshape(len(who), SECTORS, -1).min(axis=2)
         cautious = ranges if cautious is None else np.minimum(cautious, ranges)
-        least = np.where(cautious > 0, cautious, ranges).min(axis=1)
+        least = front(np.where(cautious > 0, cautious, ranges)).min(axis=1)
         if scanned_from is None:
             scanned_from = odometry
         else:  # by then things may be nearer

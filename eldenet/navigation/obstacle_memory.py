@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from eldenet.navigation.pedestrian_tracking import AHEAD, MAX_MARKED, PedestrianTracker, marks
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, view_of
 
 MEMORY_REACH = 3.0  # distance up to which points are returned [m]
 TRAIL = 0.35  # half width of a pedestrian's trail in the memory [m]
@@ -36,13 +36,17 @@ class Memory:
 
     def __init__(self, robots: int, periods: int, *, seen_through: int, walkers: bool) -> None:
         self.seen_through = seen_through
-        self._angles = np.array(ROBOT.column_angles)
-        self._points = np.full((robots, periods // 2 + 1, ROBOT.columns, 2), _NOWHERE, np.float32)
-        self._doubts = np.zeros(self._points.shape[:3], np.uint8)  # scans that saw through a point so far
+        self._periods = periods
+        self._make_room(robots, ROBOT.columns)
         self._scans = np.zeros(robots, np.intp)  # scans so far
         self._walkers = [PedestrianTracker() for _ in range(robots)] if walkers else []
         marked = MAX_MARKED * len(AHEAD) * 8 if walkers else 0
         self._marks = np.full((robots, marked, 2), _NOWHERE, np.float32)
+
+    def _make_room(self, robots: int, columns: int) -> None:
+        """Forget all points; keep those of scans with so many columns."""
+        self._points = np.full((robots, self._periods // 2 + 1, columns, 2), _NOWHERE, np.float32)
+        self._doubts = np.zeros(self._points.shape[:3], np.uint8)  # scans that saw through a point so far
 
     def reset(self, robot: int | slice) -> None:
         """Forget everything that one or more robots saw."""
@@ -60,14 +64,17 @@ class Memory:
 
         Args:
             who: numbers of the scanning robots ``(K,)``.
-            ranges: of these robots ``(K, columns)`` [m].
+            ranges: of these robots ``(K, columns)`` [m]; a camera's after a lidar's, or the other way round,
+                make them forget all before.
             odometry: of these robots ``(K, 3)``.
             cautious: how near things may be ``(K, columns)`` [m]: up to there a scan sees through points;
                 None: as far as ``ranges``.
         """
+        if ranges.shape[1] != self._points.shape[2]:
+            self._make_room(len(self._points), ranges.shape[1])
         yaw = odometry[:, 2]
         cameras = odometry[:, :2] + ROBOT.camera_ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-        angles = yaw[:, None] + self._angles
+        angles = yaw[:, None] + np.array(view_of(ranges.shape[1]).column_angles)
         frame = np.stack(
             [cameras[:, :1] + ranges * np.cos(angles), cameras[:, 1:] + ranges * np.sin(angles)], axis=2
         )
@@ -92,8 +99,9 @@ class Memory:
         away, row = np.sqrt(squared[at]), at[0]
         bearing = np.arctan2(dy[at], dx[at]) - yaw[row] + math.pi
         bearing -= 2 * math.pi * np.floor(bearing / (2 * math.pi)) + math.pi
-        column = np.floor((bearing / ROBOT.field_of_view + 0.5) * ROBOT.columns).astype(np.intp)
-        seen = (column >= 0) & (column < ROBOT.columns)
+        view = view_of(ranges.shape[1])
+        column = np.floor((bearing / view.field_of_view + 0.5) * view.columns).astype(np.intp)
+        seen = (column >= 0) & (column < view.columns)
         row, column, away = row[seen], column[seen], away[seen]
         place = (who[row], at[1][seen], at[2][seen])
         # check the neighbors too: at an object's edge, the ray at the column's center may miss it

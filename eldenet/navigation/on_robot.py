@@ -12,12 +12,13 @@ import numpy as np
 from eldenet.geometry import PinholeCamera, check_meters, intrinsic_matrix, level_rotation
 from eldenet.navigation.floor import Leveler
 from eldenet.navigation.latency import MAX_LATENCY, ahead, check_latency
+from eldenet.navigation.lidar import Scan, scan_to_ranges
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
 from eldenet.navigation.ranges import CAUTION, depth_to_ranges
 from eldenet.navigation.watch import Look, Watch, absurd
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, front
 from eldenet.uncertainty import DepthEstimate
 
 MOST_UNSURE = 0.85  # of a depth map: a robot that sees less stands still
@@ -73,7 +74,7 @@ class OnRobot:
 
     def step(
         self,
-        depth: np.ndarray,
+        depth: np.ndarray | Scan,
         goal: Sequence[float],
         odometry: Sequence[float],
         *,
@@ -97,7 +98,8 @@ class OnRobot:
         is over.
 
         Args:
-            depth: depth map ``(H, W)`` [m], with ``intrinsics``; or ranges ``(columns,)``
+            depth: depth map ``(H, W)`` [m], with ``intrinsics``; or a lidar's
+                :class:`~eldenet.navigation.lidar.Scan`, of any angles; or ranges ``(columns,)``
                 [m], equal in angle over the field of view, right to left; or those of five sectors ``(5,)``.
             goal: distance [m] and bearing [rad, counter-clockwise from ahead].
             odometry: x, y [m] and heading [rad] in any fixed frame.
@@ -124,8 +126,8 @@ class OnRobot:
             ValueError: an argument is no number or has no numbers, ``depth`` has another shape or is in
                 millimeters, ``sigma`` is not of its shape, a pose, goal or intrinsics have another length, a
                 goal's bearing is in degrees, a depth map has no intrinsics or those of no lens, its camera
-                sees less than 25 degrees to each side, or ``camera_height``, ``latency``, ``max_speed`` or a
-                tilt is out of range.
+                or lidar sees less than 25 degrees to each side, a scan's angles are not one in radians per
+                range, or ``camera_height``, ``latency``, ``max_speed`` or a tilt is out of range.
         """
         for name, value in (
             ("camera_height", camera_height), ("camera_pitch", camera_pitch), ("camera_roll", camera_roll),
@@ -136,6 +138,10 @@ class OnRobot:
         check_latency(latency)
         if not 0 < max_speed < math.inf:
             raise ValueError(f"max_speed={max_speed}: give a finite speed above 0 [m/s]")
+        scan = None
+        if isinstance(depth, Scan):
+            scan = Scan(_numbers("ranges", depth.ranges), _numbers("angles", depth.angles), depth.ahead)
+            depth = scan.ranges
         depth = _numbers("depth", depth)  # its own type, which as_ranges checks
         sigma = None if sigma is None else _numbers("sigma", sigma).astype(np.float64)
         if image is not None and (image := _numbers("image", image)).dtype != np.uint8:
@@ -160,13 +166,13 @@ class OnRobot:
             if (pitch, roll, factor) != (0.0, 0.0, 1.0):
                 tilt, depth, camera = (camera_pitch + pitch, camera_roll + roll), depth * factor, None
                 sigma = None if sigma is None else sigma * factor
-        ranges = low = as_ranges(depth, matrix, camera_height, tilt=tilt)
+        ranges = low = as_ranges(depth if scan is None else scan, matrix, camera_height, tilt=tilt)
         if sigma is not None:
             low = as_ranges(depth, matrix, camera_height, tilt=tilt, low=nearest_depth(depth, sigma))
         unseen = np.isnan(ranges)
         ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, low)
         if self.watch is not None:
-            look = Look(raw, ranges, now[0], image, camera, camera_height, latency)
+            look = Look(raw, front(ranges), now[0], image, camera, camera_height, latency)
             if (reason := self.watch.judge(look, self._sent)) is not None:
                 return self._stand(reason)
         pose, place = now[0], goal_row[0]
@@ -269,18 +275,20 @@ def nearest_depth(depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 
 
 def as_ranges(
-    depth: np.ndarray,
+    depth: np.ndarray | Scan,
     intrinsics: np.ndarray | Sequence[Any] | None,
     camera_height: float = ROBOT.camera_height,
     *,
     tilt: tuple[float, float] = (0.0, 0.0),
     low: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return ranges ``(columns,)`` [m] from a depth map, from columns, or from sectors.
+    """Return ranges ``(columns,)`` [m] from a depth map, a scan (all round), columns, or sectors.
 
     Columns beside the view of a depth map are nan. ``tilt`` is its camera's pitch and roll [rad],
     ``low (H, W)`` [m] how near its things may be.
     """
+    if isinstance(depth, Scan):
+        return scan_to_ranges(depth)
     if depth.ndim == 2:
         if intrinsics is None:
             raise ValueError("a depth map needs intrinsics=(fx, fy, cx, cy) of its camera [px]")

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, view_of
 
 SLIMMEST = 0.05  # width of the slimmest thing that a single scan must show [m]
 MOST = 3  # neighboring columns that are asked for at most
@@ -43,10 +43,13 @@ class RangeFilter:
 
     def reset(self) -> None:
         """Forget earlier scans and faults; call this at every new start."""
+        self._begin(ROBOT.columns)
+
+    def _begin(self, columns: int) -> None:
         self._before: tuple[np.ndarray, np.ndarray] | None = None  # readings and pose of the last scan
-        self._held = np.full(ROBOT.columns, np.nan)  # narrow reading that may be stuck [m]
-        self._moved = np.zeros(ROBOT.columns)  # motion while it stayed, as a share of STUCK
-        self._otherwise = np.zeros(ROBOT.columns, np.intp)  # scans since it was last seen
+        self._held = np.full(columns, np.nan)  # narrow reading that may be stuck [m]
+        self._moved = np.zeros(columns)  # motion while it stayed, as a share of STUCK
+        self._otherwise = np.zeros(columns, np.intp)  # scans since it was last seen
 
     @property
     def faults(self) -> tuple[int, ...]:
@@ -70,6 +73,8 @@ class RangeFilter:
         """
         pose = np.asarray(odometry, dtype=float)
         raw = np.asarray(ranges, dtype=float)
+        if len(raw) != len(self._held):
+            self._begin(len(raw))
         self._watch(raw, pose)
         known = np.where(self._moved >= 1, np.nan, raw)
         out = np.where(self._counts(known, pose), known, np.nan)
@@ -98,9 +103,9 @@ class RangeFilter:
     def _seen_before(self, ranges: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Mask of the readings that the last scan shows too ``(columns,)``; all of the first scan's."""
         if self._before is None:
-            return np.full(ROBOT.columns, True)
+            return np.full(len(ranges), True)
         bearing, away = seen_from(pose, *self._before)
-        angles = np.array(ROBOT.column_angles)
+        angles = np.array(view_of(len(ranges)).column_angles)
         with np.errstate(invalid="ignore"):
             beside = np.abs(bearing[None, :] - angles[:, None]) < 1.5 * _STEP
             same = np.abs(away[None, :] - ranges[:, None]) < _apart(ranges)[:, None]
@@ -182,7 +187,7 @@ def seen_from(pose: np.ndarray, ranges: np.ndarray, scanned_at: np.ndarray) -> t
         scanned_at: ``(3,)`` pose of the robot then.
     """
     x, y, yaw = scanned_at
-    angles = yaw + np.array(ROBOT.column_angles)
+    angles = yaw + np.array(view_of(ranges.shape[-1]).column_angles)
     ahead = ROBOT.camera_ahead
     dx = x - pose[0] + ahead * (math.cos(yaw) - math.cos(pose[2])) + ranges * np.cos(angles)
     dy = y - pose[1] + ahead * (math.sin(yaw) - math.sin(pose[2])) + ranges * np.sin(angles)

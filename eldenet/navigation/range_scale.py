@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from eldenet.navigation.range_filter import seen_from
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, view_of
 
 SCALE_VERSION = 1  # raise it whenever factors change: stored rows with the range scale name it
 _LOGS = np.arange(-18, 19) * 0.02  # of the factors tried: 0.70 to 1.43
@@ -113,8 +113,9 @@ def _disagreement(before: np.ndarray, then: np.ndarray, ranges: np.ndarray, pose
     flat = ~(np.append(steps, False) | np.append(False, steps))
     used = flat & (before > ROBOT.near) & (before < REACH)
     angle, away = (part[:, used] for part in seen_from(pose, FACTORS[:, None] * before, then))
-    column = np.floor((angle / ROBOT.field_of_view + 0.5) * ROBOT.columns).astype(np.intp)
-    in_view = ((column >= 0) & (column < ROBOT.columns)).all(axis=0)  # with any factor, or it favors some
+    view = view_of(len(ranges))
+    column = np.floor((angle / view.field_of_view + 0.5) * view.columns).astype(np.intp)
+    in_view = ((column >= 0) & (column < view.columns)).all(axis=0)  # with any factor, or it favors some
     away, column = away[:, in_view], column[:, in_view]
     seen = ranges[column]
     apart = np.log(away / (FACTORS[:, None] * seen)) / AGREE

@@ -18,7 +18,7 @@ from eldenet.navigation.localization import Pose
 from eldenet.navigation.observer import SECTORS
 from eldenet.navigation.ranges import LEAST_VIEW
 from eldenet.simulation.arena_world import ArenaWorld
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ALL_ROUND, ROBOT, front
 
 FED_BY = ("simulator", "depth", "box")
 LATENCY_STEP = 0.1  # [s]
@@ -30,7 +30,7 @@ class Observation(NamedTuple):
     """Result of one scan.
 
     Attributes:
-        ranges: ``(columns,)`` [m].
+        ranges: ``(columns,)`` [m]: the camera's, or a lidar's all round.
         fed_by: ``(columns,)`` source of each column's range, as an index into :data:`FED_BY`.
         image: ``(H, W, 3)`` uint8 RGB, if there is a camera.
         depth: ``(H, W)`` [m], if there is a network.
@@ -48,13 +48,13 @@ class Observation(NamedTuple):
     @property
     def sectors(self) -> np.ndarray:
         """Nearest range of each of the five sectors ``(5,)`` [m], right to left."""
-        return np.asarray(self.ranges.reshape(SECTORS, -1).min(axis=1))
+        return np.asarray(front(self.ranges).reshape(SECTORS, -1).min(axis=1))
 
     @property
     def sectors_fed_by(self) -> tuple[str, ...]:
         """Source of each sector's nearest range: "simulator", "depth" or "box"."""
-        nearest = self.ranges.reshape(SECTORS, -1).argmin(axis=1)[:, None]
-        sources = np.take_along_axis(self.fed_by.reshape(SECTORS, -1), nearest, axis=1)[:, 0]
+        nearest = front(self.ranges).reshape(SECTORS, -1).argmin(axis=1)[:, None]
+        sources = np.take_along_axis(front(self.fed_by).reshape(SECTORS, -1), nearest, axis=1)[:, 0]
         return tuple(FED_BY[int(number)] for number in sources)
 
 
@@ -150,7 +150,8 @@ class Ranges(SimulatedSensor):
         false_far: share of the columns, redrawn in each scan, that read as if nothing were there.
         stuck: columns, drawn once per episode, that always read as nearest.
         factor: of all ranges: 0.85 reads everything 15 % too near.
-        view: field of view of the camera [degrees]; columns beside it are never seen.
+        view: field of view [degrees]: of a camera, or wider, of a lidar at its place; columns beside it are
+            never seen.
         lost: share of the scans that are lost, in bursts of one second on average; the previous scan is
             repeated. The first scan of an episode is never lost.
         drift: of the odometry.
@@ -178,28 +179,29 @@ class Ranges(SimulatedSensor):
             ("false_far", false_far, 0, 1),
             ("stuck", stuck, 0, ROBOT.columns),
             ("factor", factor, 0.5, 2),
-            ("view", view, LEAST_VIEW, FULL_VIEW),
+            ("view", view, LEAST_VIEW, 360),
             ("lost", lost, 0, 0.5),
         ):
             if not low <= value <= high:
                 raise ValueError(f"sensor.{name}={value}: give {low:g} to {high:g}")
         self.false_near, self.false_far, self.stuck = false_near, false_far, stuck
         self.factor, self.lost, self.view = factor, lost, view
+        self.columns = ROBOT if view <= FULL_VIEW else ALL_ROUND
         self.wrong_columns = bool(false_near or false_far or stuck)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance, which uses no random numbers without wrong readings."""
         wrong = self.wrong_columns or self.lost or self.factor != 1
-        sensor = _WrongRanges(self, world, rng) if wrong else _TrueRanges(world)
-        return sensor if self.view == FULL_VIEW else _NarrowView(sensor, self.view)
+        sensor = _WrongRanges(self, world, rng) if wrong else _TrueRanges(self, world)
+        return sensor if self.view == FULL_VIEW else _NarrowView(sensor, self)
 
 
 class _TrueRanges:
-    def __init__(self, world: ArenaWorld) -> None:
-        self.world = world
+    def __init__(self, sensor: Ranges, world: ArenaWorld) -> None:
+        self.view, self.world = sensor.columns, world
 
     def scan(self) -> Observation:
-        return Observation(self.world.ranges(), np.zeros(ROBOT.columns, np.intp))
+        return Observation(self.world.ranges(self.view), np.zeros(self.view.columns, np.intp))
 
 
 class Centers(SimulatedSensor):
@@ -239,9 +241,9 @@ class _TrueCenters:
 
 
 class _NarrowView:
-    def __init__(self, sensor: SensorInstance, view: float) -> None:
+    def __init__(self, sensor: SensorInstance, of: Ranges) -> None:
         self.sensor = sensor
-        self.unseen = np.abs(ROBOT.column_angles) > math.radians(view) / 2
+        self.unseen = np.abs(of.columns.column_angles) > math.radians(of.view) / 2
 
     def scan(self) -> Observation:
         seen = self.sensor.scan()
@@ -254,7 +256,8 @@ class _NarrowView:
 class _WrongRanges:
     def __init__(self, sensor: Ranges, world: ArenaWorld, rng: np.random.Generator) -> None:
         self.sensor, self.world, self.rng = sensor, world, rng
-        self.stuck = rng.permutation(ROBOT.columns)[: sensor.stuck]
+        self.view = sensor.columns
+        self.stuck = rng.permutation(self.view.columns)[: sensor.stuck]
         self.last: np.ndarray | None = None
         self.losing = False
 
@@ -262,15 +265,15 @@ class _WrongRanges:
         if self.sensor.lost and self.last is not None:
             self.losing = self.rng.random() < self._chance_to_lose()
             if self.losing:
-                return Observation(self.last.copy(), np.zeros(ROBOT.columns, np.intp))
-        ranges, chance = self.world.ranges(), self.rng.random(ROBOT.columns)
+                return Observation(self.last.copy(), np.zeros(self.view.columns, np.intp))
+        ranges, chance = self.world.ranges(self.view), self.rng.random(self.view.columns)
         hit = ranges < ROBOT.far
-        ranges[hit] = np.clip(self.sensor.factor * ranges[hit], ROBOT.near, ROBOT.far)
+        ranges[hit] = np.clip(self.sensor.factor * ranges[hit], self.view.near, ROBOT.far)
         ranges[chance < self.sensor.false_near] = ROBOT.near
         ranges[chance > 1 - self.sensor.false_far] = ROBOT.far
         ranges[self.stuck] = ROBOT.near
         self.last = ranges
-        return Observation(ranges.copy(), np.zeros(ROBOT.columns, np.intp))
+        return Observation(ranges.copy(), np.zeros(self.view.columns, np.intp))
 
     def _chance_to_lose(self) -> float:
         """Of the next scan: a burst goes on, or a new one begins as often as the share asks for."""

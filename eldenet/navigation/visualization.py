@@ -19,7 +19,7 @@ from eldenet.perception.drawing import draw_boxes
 from eldenet.simulation.arena_view import ArenaView, robot_intrinsics
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import Obstacle
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, view_of
 from eldenet.system.files import part_file
 from eldenet.visualization import color_depth
 
@@ -115,7 +115,7 @@ class Scene:
                 edges = [seen(angle, nearest) for angle in np.linspace(first, first + step, 6)]
                 outline = [np.array([self.pixel(*camera), *edges])]
                 cv2.polylines(picture, outline, True, (170, 190, 215), 1, cv2.LINE_AA)
-            for angle, distance in zip(ROBOT.column_angles, scan.ranges, strict=True):
+            for angle, distance in zip(view_of(len(scan.ranges)).column_angles, scan.ranges, strict=True):
                 if distance < ROBOT.far:
                     cv2.circle(picture, seen(yaw + angle, distance), 1, (200, 30, 30), -1)
         for before, after in pairwise(self.trail):

@@ -12,7 +12,7 @@ from eldenet.simulation.arena_mjcf import FRICTION, TIMESTEP, WHEEL_RADIUS, WHEE
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import THIN
 from eldenet.simulation.rendering.camera import SEEN_GROUPS
-from eldenet.simulation.robot import ROBOT, arc
+from eldenet.simulation.robot import ROBOT, Robot, arc
 from eldenet.system.checks import one_of
 
 PHYSICS = ("kinematic", "wheels")
@@ -52,8 +52,6 @@ class ArenaWorld:
         self._solid = self.model.geom_contype == 1  # obstacles and walls
         wall = 2 * np.min(self.model.geom_size[:, :2], axis=1) < THIN  # which no detector finds
         self._object = ~(wall & (self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX))
-        self._geom = np.empty(ROBOT.columns, np.int32)
-        self._angles = np.array(ROBOT.column_angles)
         self.time = 0.0
         self.speed = self.turn = 0.0  # of the kinematic robot [m/s], [rad/s]
         self.place(arena.start)
@@ -119,25 +117,28 @@ class ArenaWorld:
         if self._pedestrians:
             self.data.mocap_pos[:, :2] = [pedestrian.position(self.time) for pedestrian in self._pedestrians]
 
-    def ranges(self) -> np.ndarray:
-        """Return the distance from the camera along each column's central ray ``(columns,)`` [m].
+    def ranges(self, view: Robot = ROBOT) -> np.ndarray:
+        """Return the distance from the camera along the central ray of a view's columns ``(columns,)`` [m].
 
         Convention: horizontal rays; distances are at least ``near``, and ``far`` where nothing is hit.
         """
-        origin, yaw = np.array(ROBOT.camera_center(self.pose)), self.pose[2]
-        rays = np.zeros((ROBOT.columns, 3))
-        np.cos(self._angles + yaw, out=rays[:, 0])
-        np.sin(self._angles + yaw, out=rays[:, 1])
-        distance = np.empty(ROBOT.columns)
+        return np.clip(self._cast(view)[0], view.near, view.far)
+
+    def _cast(self, view: Robot) -> tuple[np.ndarray, np.ndarray]:
+        """Distance ``(columns,)`` [m], and the number of the geom that each ray hits; -1: none."""
+        origin, yaw = np.array(view.camera_center(self.pose)), self.pose[2]
+        angles = np.array(view.column_angles) + yaw
+        rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(view.columns)], axis=1)
+        distance, geom = np.empty(view.columns), np.empty(view.columns, np.int32)
         self._rays(
-            self.model, self.data, origin, rays.ravel(), SEEN_GROUPS, 1, -1, self._geom, distance, None,
-            ROBOT.columns, ROBOT.far,
+            self.model, self.data, origin, rays.ravel(), SEEN_GROUPS, 1, -1, geom, distance, None,
+            view.columns, view.far,
         )  # fmt: skip
-        distance[self._geom < 0] = ROBOT.far
-        return np.clip(distance, ROBOT.near, ROBOT.far)
+        distance[geom < 0] = view.far
+        return distance, geom
 
     def centers(self) -> np.ndarray:
         """Return x, y ``(K, 2)`` [m] of the centers of the objects that the camera's rays hit; no walls."""
-        self.ranges()
-        hit = np.unique(self._geom[self._geom >= 0])
+        geom = self._cast(ROBOT)[1]
+        hit = np.unique(geom[geom >= 0])
         return np.asarray(self.data.geom_xpos[hit[self._object[hit]], :2])

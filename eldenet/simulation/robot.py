@@ -3,6 +3,8 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 
 class Robot(NamedTuple):
     """A three-wheeled robot with a forward RGB-D camera, as the paper's; its differential drive is ours.
@@ -56,6 +58,24 @@ class Robot(NamedTuple):
 
 
 ROBOT = Robot()
+_EXTRA = int((math.pi - ROBOT.field_of_view / 2) / ROBOT.field_of_view * ROBOT.columns)  # to each side
+#: All that a lidar sees: columns as wide as the camera's all round (357 degrees), the camera's in the middle.
+ALL_ROUND = ROBOT._replace(
+    field_of_view=ROBOT.field_of_view * (1 + 2 * _EXTRA / ROBOT.columns),
+    columns=ROBOT.columns + 2 * _EXTRA,
+    near=0.05,
+)
+
+
+def view_of(columns: int) -> Robot:
+    """Return whose columns a scan has: :data:`ROBOT`'s, or :data:`ALL_ROUND`'s."""
+    return ROBOT if columns == ROBOT.columns else ALL_ROUND
+
+
+def front(values: np.ndarray) -> np.ndarray:
+    """Return the values of the camera's columns ``(..., 40)`` of those of a scan ``(..., columns)``."""
+    beside = (values.shape[-1] - ROBOT.columns) // 2
+    return values[..., beside : beside + ROBOT.columns]
 
 
 def arc(

@@ -9,6 +9,7 @@ import os
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -49,8 +50,8 @@ VERSIONS = {
     "dqn_ensemble": str(EPISODE_VERSION),
     "astar_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}.{CARROT}",
 }
-LABELS = ("method", "size", "version")
-Rows = dict[tuple[str, str], list[Episode]]
+LABELS = ("method", "size", "view", "version")
+Rows = dict[tuple[str, str, str], list[Episode]]
 
 
 def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
@@ -60,33 +61,35 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser.add_argument("--worlds", type=int, default=300)
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--sizes", default="0.85,1.0", help="of the robot; 0.85 is about a Jackal's")
+    parser.add_argument("--views", default="69.4,270", help="of the sensor [degrees]; 270 is the benchmark's")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
     worlds = read_barn(args.worlds_file)
     rows = read(folder / "drives.csv.gz")
-    for size in args.sizes.split(","):
-        for method in args.methods.split(","):
-            done = rows.setdefault((method, size), [])
-            settings = EpisodeSettings("wheels", time_limit=TIME_LIMIT, robot_size=float(size))
-            while len(done) < min(args.worlds, len(worlds)):
-                part = worlds[len(done) : min(len(done) + PART, args.worlds)]
-                arenas = [world.arena for world in part]
-                done += run_episodes(arenas, METHODS[method], Ranges(), settings, robots=PART)
-                write(folder, rows, worlds)
-                print(line(method, size, done, worlds), flush=True)
+    wanted = product(*(given.split(",") for given in (args.views, args.sizes, args.methods)))
+    for view, size, method in wanted:
+        done = rows.setdefault((method, size, view), [])
+        settings = EpisodeSettings("wheels", time_limit=TIME_LIMIT, robot_size=float(size))
+        while len(done) < min(args.worlds, len(worlds)):
+            part = worlds[len(done) : min(len(done) + PART, args.worlds)]
+            arenas = [world.arena for world in part]
+            sensor = Ranges(view=float(view))
+            done += run_episodes(arenas, METHODS[method], sensor, settings, robots=PART)
+            write(folder, rows, worlds)
+            print(line(method, size, view, done, worlds), flush=True)
     write(folder, rows, worlds)
 
 
 def read(file: Path) -> Rows:
     """Return the stored drives of today's versions."""
     return {
-        (method, size): drives
-        for (method, size, version), drives in read_episodes(file, LABELS).items()
+        (method, size, view): drives
+        for (method, size, view, version), drives in read_episodes(file, LABELS).items()
         if version == VERSIONS.get(method)
     }
 
 
-def line(method: str, size: str, drives: Sequence[Episode], worlds: Sequence[BarnWorld]) -> str:
+def line(method: str, size: str, view: str, drives: Sequence[Episode], worlds: Sequence[BarnWorld]) -> str:
     """Return a line of the table."""
     s = summarize(drives)
     times = [drive.seconds if drive.outcome == "success" else None for drive in drives]
@@ -97,22 +100,22 @@ def line(method: str, size: str, drives: Sequence[Episode], worlds: Sequence[Bar
     success = sum(drive.outcome == "success" for drive in drives)
     cells = [f"{success} of {len(drives)}", f"{s['success_low']:.1f} to {s['success_high']:.1f}"]
     cells += [f"{s['collision']:.1f}", f"{s['timeout']:.1f}", f"{s['seconds']:.1f}"]
-    return f"| `{method}` | {size} | {' | '.join([*cells, f'{now:.3f}', f'{before:.3f}'])} |"
+    return f"| `{method}` | {size} | {view} | {' | '.join([*cells, f'{now:.3f}', f'{before:.3f}'])} |"
 
 
 def write(folder: Path, rows: Rows, worlds: Sequence[BarnWorld]) -> None:
     """Write every drive to ``drives.csv.gz`` and the table to ``results.md``."""
     rows = {key: drives for key, drives in sorted(rows.items()) if drives}
-    labeled = {(method, size, VERSIONS[method]): drives for (method, size), drives in rows.items()}
+    labeled = {(*key, VERSIONS[key[0]]): drives for key, drives in rows.items()}
     write_episodes(folder / "drives.csv.gz", LABELS, labeled)
     text = [
         "# BARN's public worlds",
         "",
-        f"True ranges of 69 degrees, wheels, goal known; {environment()['date']}.",
+        f"True ranges, wheels, goal known; {environment()['date']}.",
         "",
-        "| method | robot size | arrived | 95 % [%] | collisions [%] | time-outs [%] | time [s] |"
-        " score (2 times) | score (4 times) |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| method | robot size | view [degrees] | arrived | 95 % [%] | collisions [%] | time-outs [%] |"
+        " time [s] | score (2 times) | score (4 times) |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
         *(line(*key, drives, worlds) for key, drives in rows.items()),
         "",
         "Made by `python experiments/barn/run.py`.",

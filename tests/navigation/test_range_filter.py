@@ -216,7 +216,7 @@ def test_lost_scans_come_in_bursts_and_repeat_the_last_one():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"false_near": -0.1}, {"false_far": NAN}, {"stuck": 41}, {"factor": 3}, {"view": 90}, {"lost": 0.9}],
+    [{"false_near": -0.1}, {"false_far": NAN}, {"stuck": 41}, {"factor": 3}, {"view": 400}, {"lost": 0.9}],
 )
 def test_errors_out_of_range_are_refused(wrong):
     (name,) = wrong

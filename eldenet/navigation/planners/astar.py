@@ -10,7 +10,7 @@ from eldenet.navigation.planners.dwa import DynamicWindow
 from eldenet.navigation.planners.online_map import OnlineMap
 from eldenet.navigation.planners.paths import inflated_cost, shortest_path
 from eldenet.simulation.arenas import clearance_map
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, view_of
 
 CARROT = 1.6  # distance to the target along the path [m]; experiments/table6_time/carrots.md
 REPLAN_EVERY = 5  # control periods, on a map built while driving
@@ -124,7 +124,7 @@ class AStarOnlineDWA(_PathFollower):
 def seen_points(ranges: np.ndarray) -> np.ndarray:
     """Points in view in the robot's frame ``(M, 2)`` [m]."""
     seen = ranges < ROBOT.far
-    angles = np.array(ROBOT.column_angles)[seen]
+    angles = np.array(view_of(len(ranges)).column_angles)[seen]
     return np.stack(
         [ROBOT.camera_ahead + ranges[seen] * np.cos(angles), ranges[seen] * np.sin(angles)], axis=1
     )

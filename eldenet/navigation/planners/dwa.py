@@ -11,7 +11,7 @@ import numpy as np
 from eldenet.navigation.collision_arcs import REACH, STEP, arc_table
 from eldenet.navigation.observer import SECTORS, Observer, Senses
 from eldenet.navigation.safety_margins import TURNING_GAP, WINDOW_MARGIN, WINDOW_ROOM
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, front
 from eldenet.system.checks import one_of
 
 SPEEDS = tuple(round(0.1 * step, 1) for step in range(11))  # [m/s]
@@ -141,11 +141,12 @@ class LocalDWA:
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
         who = np.arange(len(self.last)) if robots is None else robots
         if self.sight == "sectors":  # only the nearest column of each sector is kept
-            parts = senses.ranges.reshape(len(senses.ranges), SECTORS, -1)
+            parts = front(senses.ranges).reshape(len(senses.ranges), SECTORS, -1)
             nearest = parts.argmin(axis=2)[..., None]
             kept = np.full_like(parts, ROBOT.far)
             np.put_along_axis(kept, nearest, np.take_along_axis(parts, nearest, axis=2), axis=2)
-            senses = senses._replace(ranges=kept.reshape(senses.ranges.shape))
+            cautious = None if senses.cautious is None else front(senses.cautious)
+            senses = senses._replace(ranges=kept.reshape(len(kept), -1), cautious=cautious)
         self.observer.observe(senses, who)
         row, x, y, _ = self.observer.memory.near(senses.odometry[who], who)
         for number, robot in enumerate(who):

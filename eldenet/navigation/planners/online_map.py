@@ -8,7 +8,7 @@ import numpy as np
 from eldenet.navigation.planners.paths import shortest_path
 from eldenet.simulation.arenas import INFLATION, RESOLUTION
 from eldenet.simulation.obstacle import SIDE
-from eldenet.simulation.robot import ROBOT
+from eldenet.simulation.robot import ROBOT, view_of
 
 SURE = 4  # evidence of a cell that is occupied for sure, of 8
 LEAST_ROOM, NEAR = 0.20, 0.5  # clearance of a way [m]; distance to the robot and to a goal that counts [m]
@@ -59,7 +59,7 @@ class OnlineMap:
             cautious: how near things may be ``(columns,)`` [m]; no ray passes where it is 0: the camera does
                 not see there.
         """
-        angles = np.array(ROBOT.column_angles) + pose[2]
+        angles = np.array(view_of(len(ranges)).column_angles) + pose[2]
         camera = pose[:2] + ROBOT.camera_ahead * np.array([np.cos(pose[2]), np.sin(pose[2])])
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         grid = self.evidence
