@@ -188,6 +188,21 @@ def test_a_depth_image_that_cannot_be_read_is_logged_and_does_not_count(drive) -
     assert decision(drive) == (0.0, 0.0)
 
 
+def test_the_driver_drives_by_a_lidar_instead_of_depth(ros) -> None:
+    node = ros("drive", lidar="/scan", plan=True)
+    assert {topic for topic in node.callbacks if "depth" in topic} == set()
+    node.on_odometry(odometry(0.0))
+    node.on_goal(SimpleNamespace(header=header(12.25, "odom"), pose=odometry(5.0).pose.pose))
+    for number, (distance, moves) in enumerate([(6.0, True), (math.nan, False), (6.5, True)]):
+        node.now = when = 12.3 + 0.2 * number
+        node.on_odometry(odometry(0.0, when))
+        ranges = np.full(720, distance)
+        node.callbacks["/scan"](BUILDER.laser_scan(header(when), ranges, 2.356, 0.1, 12.0, 0.1))
+        assert (decision(node)[0] > 0) == moves
+    node.callbacks["/scan"](BUILDER.laser_scan(header(when), ranges, 2.356, 0.1, 0.0, 0.1))
+    assert "its publisher must send meters" in node.logger.error.call_args.args[0]
+
+
 def test_stamped_commands_have_the_time_and_the_frame(ros) -> None:
     node = ros("drive", stamped=True, frame="base")
     node.decide()

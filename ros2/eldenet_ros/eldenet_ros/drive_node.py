@@ -21,12 +21,15 @@ from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
 from eldenet.navigation.policy import Navigator
 from eldenet.simulation.robot import ROBOT
 from eldenet_ros.driving import Pilot
-from eldenet_ros.messages import read_depth, read_intrinsics, read_pose, seconds
+from eldenet_ros.messages import read_depth, read_intrinsics, read_pose, read_scan, seconds
 from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported
 
 PARAMETERS = {
     "policy": "",
     "plan": False,
+    "lidar": "",
+    "lidar_ahead": ROBOT.camera_ahead,
+    "lidar_yaw": 0.0,
     "camera_height": 0.40,
     "camera_pitch": 0.0,
     "camera_roll": 0.0,
@@ -39,7 +42,10 @@ PARAMETERS = {
 
 
 class DriveNode(Node):
-    """``depth/image``, ``.../camera_info``, ``.../sigma``, ``odom``, ``goal_pose`` -> ``cmd_vel``."""
+    """``depth/image``, ``.../camera_info``, ``.../sigma``, ``odom``, ``goal_pose`` -> ``cmd_vel``.
+
+    With ``lidar``, the name of a topic, a ``LaserScan`` takes the place of ``depth/...``.
+    """
 
     def __init__(self) -> None:
         super().__init__("eldenet_drive")
@@ -60,11 +66,14 @@ class DriveNode(Node):
         self.info: Any = None
         self.depth: Any = None
         self.sigma: Any = None
-        self.create_subscription(
-            message("sensor_msgs/msg/CameraInfo"), "depth/camera_info", self.on_info, LATEST
-        )
-        self.create_subscription(message("sensor_msgs/msg/Image"), "depth/image", self.on_depth, LATEST)
-        self.create_subscription(message("sensor_msgs/msg/Image"), "depth/sigma", self.on_sigma, LATEST)
+        if chosen.lidar:
+            self.create_subscription(message("sensor_msgs/msg/LaserScan"), chosen.lidar, self.on_scan, LATEST)
+        else:
+            self.create_subscription(
+                message("sensor_msgs/msg/CameraInfo"), "depth/camera_info", self.on_info, LATEST
+            )
+            self.create_subscription(message("sensor_msgs/msg/Image"), "depth/image", self.on_depth, LATEST)
+            self.create_subscription(message("sensor_msgs/msg/Image"), "depth/sigma", self.on_sigma, LATEST)
         self.create_subscription(message("nav_msgs/msg/Odometry"), "odom", self.on_odometry, LATEST)
         self.create_subscription(message("geometry_msgs/msg/PoseStamped"), "goal_pose", self.on_goal, 1)
         kind = "geometry_msgs/msg/TwistStamped" if chosen.stamped else "geometry_msgs/msg/Twist"
@@ -74,6 +83,13 @@ class DriveNode(Node):
     def on_info(self, info: Any) -> None:
         """Store the calibration of the depth."""
         self.info = info
+
+    @reported
+    def on_scan(self, scan: Any) -> None:
+        """Give the pilot a lidar's scan."""
+        chosen = self.settings
+        seen = read_scan(scan, ahead=chosen.lidar_ahead, yaw=chosen.lidar_yaw)
+        self.pilot.see(seen, None, seconds(scan.header.stamp))
 
     @reported
     def on_depth(self, image: Any) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from eldenet.geometry import check_camera_height
 from eldenet.navigation.latency import check_latency
+from eldenet.navigation.lidar import Scan
 from eldenet.navigation.on_robot import OnRobot
 from eldenet.navigation.ranges import LOWEST_CAMERA
 from eldenet.navigation.watch import GOAL_TOLERANCE
@@ -67,24 +68,27 @@ class Pilot:
             "camera_height": camera_height, "camera_pitch": camera_pitch, "camera_roll": camera_roll
         }  # fmt: skip
         self.max_speed, self.latency, self.stale = max_speed, latency, stale
-        self.depth: np.ndarray | None = None
+        self.depth: np.ndarray | Scan | None = None
         self.sigma: np.ndarray | None = None
         self.intrinsics: np.ndarray | None = None
         self.poses: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=POSES)  # with stamps
         self.frame: str | None = None
         self.goal: tuple[float, float] | None = None
         self.stamps = {"depth": math.nan, "odometry": math.nan}
-        self._decided: np.ndarray | None = None  # depth of the last decision
+        self._decided: np.ndarray | Scan | None = None  # depth of the last decision
         self._command = Command()  # of that decision
 
     def see(
         self,
-        depth: np.ndarray,
+        depth: np.ndarray | Scan,
         intrinsics: np.ndarray | None,
         stamp: float,
         sigma: np.ndarray | None = None,
     ) -> None:
-        """Take a depth image, a network's sigma of it ``(H, W)`` [m], intrinsics [px] and ``stamp`` [s]."""
+        """Take a depth image, a network's sigma of it ``(H, W)`` [m], intrinsics [px] and ``stamp`` [s].
+
+        A lidar's scan takes the place of the depth image, and has no intrinsics.
+        """
         self.depth, self.intrinsics, self.sigma = depth, intrinsics, sigma
         self.stamps["depth"] = stamp
 
@@ -131,7 +135,7 @@ class Pilot:
             if not abs(now - stamp) < self.stale:
                 late = f"{abs(now - stamp):.1f} s {'in the future' if stamp > now else 'old'}"
                 return Command(reason=f"{name} is {late}: check its publisher, its rate, and both clocks")
-        if self.intrinsics is None:
+        if self.intrinsics is None and not isinstance(self.depth, Scan):
             return Command(reason="no camera_info of the depth yet")
         if self.goal is None or not self.poses or self.depth is None:
             return Command(reason="no goal")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.geometry import check_intrinsics
+from eldenet.navigation.lidar import Scan
 
 Z_90 = 1.64  # standard deviations that hold 90 % on each side (Gaussian 1.64, Laplacian 1.63)
 COLORS = {  # encoding -> channels, and which of them are red, green and blue
@@ -96,6 +97,28 @@ def read_intrinsics(info: Any, size: tuple[int, int], *, rectified: bool = False
     except ValueError as error:
         raise ValueError(f"camera_info: {error}") from error
     return matrix
+
+
+def read_scan(scan: Any, *, ahead: float, yaw: float) -> Scan:
+    """Ranges [m] and angles of a ``sensor_msgs/LaserScan``; inf from ``range_max``, NaN below ``range_min``.
+
+    Args:
+        scan: of a level lidar.
+        ahead: of the lidar, in front of the axle's center [m].
+        yaw: of its frame, counter-clockwise from straight ahead [rad].
+
+    Raises:
+        ValueError: the limits of its ranges are none.
+    """
+    if not 0 <= scan.range_min < scan.range_max:
+        raise ValueError(
+            f"scan has range_min {scan.range_min} and range_max {scan.range_max}: its publisher must send "
+            "meters, the second above the first"
+        )
+    ranges = np.array(scan.ranges, np.float64)
+    free, close = ranges >= scan.range_max, ranges < scan.range_min
+    angles = yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    return Scan(np.where(free, np.inf, np.where(close, np.nan, ranges)), angles, ahead)
 
 
 def is_distorted(info: Any) -> bool:

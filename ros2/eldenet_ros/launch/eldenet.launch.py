@@ -19,6 +19,7 @@ ARGUMENTS = {
     "scan": ("true", "publish a LaserScan for Nav2"),
     "detector": ("", "an .onnx file: publish 3D boxes"),
     "drive": ("false", "publish cmd_vel: the robot moves as soon as it gets a goal"),
+    "lidar": ("", "topic of a lidar's LaserScan, such as /scan: drive by it instead of depth"),
     "odom": ("/odom", "odometry of the driver"),
     "cmd_vel": ("/cmd_vel", "its commands"),
     "params": (str(Path(get_package_share_directory(PACKAGE)) / "config/eldenet.yaml"), "parameters"),
@@ -56,6 +57,7 @@ def generate_launch_description() -> LaunchDescription:
                 "drive",
                 given["drive"],
                 [*depth, ("odom", given["odom"]), ("cmd_vel", given["cmd_vel"])],
+                {"lidar": given["lidar"]},
             ),
         ]
     )
