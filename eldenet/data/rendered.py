@@ -37,7 +37,7 @@ class RenderedScenes(DepthDataset):
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: that of the data set.
         detail: frames of ``detailed``: closer to real pictures.
-        near: of rooms: frames of what is close, half of the pixels within 0.3 to 1.2 m.
+        near: of rooms: share of frames of what is close, half of their pixels within 0.3 to 1.2 m; True: all.
         depth_camera: depth as a stereo depth camera measures it, with holes at edges, a dead column and noise
             (:class:`~eldenet.simulation.depth_camera.StereoArtifacts`); the same in every epoch.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
@@ -72,7 +72,7 @@ class RenderedScenes(DepthDataset):
         workers: int | None = None,
         focal: Sequence[float] | None = None,
         detail: bool = False,
-        near: bool = False,
+        near: float = 0.0,
         depth_camera: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
@@ -82,9 +82,11 @@ class RenderedScenes(DepthDataset):
         if focal is not None and not self.any_lens:
             raise ValueError(f"focal={list(focal)}: the camera of {self.generator.name} has one lens")
         if near and self.generator.name != "rooms":
-            raise ValueError(f"near=true: {self.generator.name} has no such frames; rooms has")
+            raise ValueError(f"near={near}: {self.generator.name} has no such frames; rooms has")
+        if not 0 <= near <= 1:
+            raise ValueError(f"near={near}: give the share of frames of what is close, 0 to 1")
         chosen = self.detailed if detail else self.generator
-        self.generator = chosen.with_focal(focal)._replace(near=near)
+        self.generator = chosen.with_focal(focal)._replace(near=float(near))
         size = self.default_size if size is None else size
         one_of("split", split, SPLITS)
         if len(size) != 2 or min(size) < 16 or max(size) > 2048:

@@ -41,7 +41,7 @@ class Generator(NamedTuple):
         focal: range of focal lengths [widths] that is given to the renderer; None: the renderer's own.
         depth_step: stored depth is a multiple of this [m].
         detail: passed on to the renderer where it is true.
-        near: the same.
+        near: share of frames of what is close; the same.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Generator(NamedTuple):
     focal: tuple[float, float] | None = None
     depth_step: float = DEPTH_STEP
     detail: bool = False
-    near: bool = False
+    near: float = 0.0
 
     @property
     def farthest(self) -> int:
@@ -72,7 +72,7 @@ class Generator(NamedTuple):
 
     def folder_name(self, size: tuple[int, int]) -> str:
         """Name of the folder that holds the frames of ``(height, width)`` [px]."""
-        name = self.name + "-detail" * self.detail + "-near" * self.near
+        name = self.name + "-detail" * self.detail + (f"-near{self.near:g}" if self.near else "")
         if self.focal is not None:
             low, high = self.focal
             return f"{name}-v{self.version}-{size[0]}x{size[1]}-focal-{low:g}-{high:g}"
@@ -118,7 +118,7 @@ class SceneStore:
     def _render(self, generator: Generator, scene: int) -> None:
         module, _, function = generator.renderer.rpartition(".")
         options: dict[str, object] = {} if generator.focal is None else {"focal": generator.focal}
-        options |= {name: True for name in ("detail", "near") if getattr(generator, name)}
+        options |= {name: value for name in ("detail", "near") if (value := getattr(generator, name))}
         views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS, **options)
         step = generator.depth_step
         meters = encode_depth(views.depth, step).astype(np.float32) * np.float32(step)

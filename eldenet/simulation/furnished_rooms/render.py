@@ -41,7 +41,7 @@ def render_room(
     *,
     focal: tuple[float, float] = KINECT,
     detail: bool = False,
-    near: bool = False,
+    near: float = 0.0,
 ) -> Views:
     """Render the frames of room ``index`` of a split at ``(height, width)`` [px].
 
@@ -52,7 +52,7 @@ def render_room(
         views: how many.
         focal: range of fx [widths]; each frame draws its own.
         detail: rooms as people photograph them: natural colors, more things, light that bounces.
-        near: frames of what is close: half of the pixels within 0.3 to 1.2 m.
+        near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
     """
     cv2.setNumThreads(0)
     room = CompiledRoom(generate_room(split, index, detail))
@@ -60,7 +60,7 @@ def render_room(
     frames = []
     for view in range(views):
         camera = RayCamera(size, draw_intrinsics(draw, size, focal))
-        choose = choose_near_pose if near else choose_pose
+        choose = choose_near_pose if near and draw.chance(near) else choose_pose
         position, rotation = choose(room, camera, draw, by_hand=detail)
         linear, hits = room.photograph(camera, position, rotation)
         seed = (SPLITS[split], index, 2, view)
@@ -147,11 +147,13 @@ def choose_near_pose(
     """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera close to things or a wall.
 
     Of 20 candidates, the one whose median depth is closest to a drawn one of 0.3 to 1.2 m is taken; no pixel
-    of its handful of rays is nearer than 0.15 m.
+    of its handful of rays is nearer than 0.15 m, and several things are in view: in :func:`choose_pose` few
+    frames show a bare wall, so bare walls here alone would teach that what is bare is near.
     """
     probe = _handful_of_rays(camera)
     sx, sy, h = room.room.size
     wanted = draw.uniform(0.3, 1.2)
+    geoms_wanted = draw.integer(3, 10)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for _ in range(20):
         z = draw.uniform(0.15, min(1.8, h - 0.2) if by_hand else 1.0)
@@ -159,8 +161,9 @@ def choose_near_pose(
         yaw, roll = draw.uniform(-np.pi, np.pi), draw.uniform(-0.1, 0.1)
         pitch = draw.uniform(-0.9, 0.1) if z > 0.8 else draw.uniform(-0.3, 0.3)
         position, rotation = np.array([x, y, z]), camera_rotation(yaw, pitch, roll)
-        depth, _ = probe.probe(room.model, room.data, position, rotation)
+        depth, geoms = probe.probe(room.model, room.data, position, rotation)
         miss = abs(float(np.log(np.median(depth) / wanted))) + 10 * float(depth.min() < 0.15)
+        miss += 0.15 * max(0, geoms_wanted - len(np.unique(geoms)))
         if best is None or miss < best[0]:
             best = (miss, position, rotation)
     assert best is not None
