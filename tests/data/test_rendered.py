@@ -99,7 +99,7 @@ def test_near_rooms_show_what_is_close(tmp_path: Path) -> None:
     some = Rooms("train", 32, size=SIZE, root=tmp_path, workers=2, near=0.25)
     medians = [float(np.median(some.load_frame(index).depth)) for index in range(32)]
     assert 2 <= sum(median < 1.3 for median in medians) <= 16
-    with pytest.raises(ValueError, match="near=15.0: give the share of frames of what is close, 0 to 1"):
+    with pytest.raises(ValueError, match=r"near=15\.0: give the share of frames of what is close, 0 to 1"):
         Rooms("train", 8, size=SIZE, root=tmp_path, near=15.0)
     with pytest.raises(ValueError, match="near=True: streets has no such frames; rooms has"):
         Streets("train", 8, root=tmp_path, near=True)
