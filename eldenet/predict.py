@@ -281,6 +281,8 @@ def open_predictor(
         network = model = eldenet.load(checkpoint, trusted_modules=listed(s.trusted_modules))
         default = " (the default; checkpoint=... takes others)" if checkpoint == BEST else ""
         log.say(f"weights: {checkpoint}{default}")
+        if model.info.get("license"):
+            log.say(f"license of the weights: {model.info['license']}")
         if s.engine in ("auto", "torch"):
             device = resources.device
         else:

@@ -37,7 +37,7 @@ class RenderedScenes(DepthDataset):
         focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
             None: that of the data set.
         detail: frames of ``detailed``: closer to real pictures.
-        near: of rooms: share of frames of what is close, half of their pixels within 0.3 to 1.2 m; True: all.
+        near: of rooms: share of frames of what is close, half of their pixels within 0.3 to 1.2 m.
         depth_camera: depth as a stereo depth camera measures it, with holes at edges, a dead column and noise
             (:class:`~eldenet.simulation.depth_camera.StereoArtifacts`); the same in every epoch.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most

@@ -12,7 +12,7 @@ class Rooms(RenderedScenes):
         focal: range of focal lengths [widths]; None: about the Kinect's, 0.76 to 0.88.
         detail: rooms as people photograph them: natural colors, more things, light that bounces, shade where
             things touch.
-        near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m; True: all.
+        near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
         **options: see :class:`~eldenet.data.rendered.RenderedScenes`.
     """
 

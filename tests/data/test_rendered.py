@@ -92,7 +92,7 @@ def test_rooms_of_many_lenses_hand_over_each_focal_length(tmp_path: Path) -> Non
 
 
 def test_near_rooms_show_what_is_close(tmp_path: Path) -> None:
-    near = Rooms("train", 16, size=SIZE, root=tmp_path, workers=2, near=True)
+    near = Rooms("train", 16, size=SIZE, root=tmp_path, workers=2, near=1)
     assert near.folder.name.startswith("rooms-near1-v1")
     medians = [float(np.median(near.load_frame(index).depth)) for index in range(16)]
     assert 0.25 < min(medians) < 0.6 < max(medians) < 1.5
@@ -101,8 +101,8 @@ def test_near_rooms_show_what_is_close(tmp_path: Path) -> None:
     assert 2 <= sum(median < 1.3 for median in medians) <= 16
     with pytest.raises(ValueError, match=r"near=15\.0: give the share of frames of what is close, 0 to 1"):
         Rooms("train", 8, size=SIZE, root=tmp_path, near=15.0)
-    with pytest.raises(ValueError, match="near=True: streets has no such frames; rooms has"):
-        Streets("train", 8, root=tmp_path, near=True)
+    with pytest.raises(ValueError, match="near=1: streets has no such frames; rooms has"):
+        Streets("train", 8, root=tmp_path, near=1)
 
 
 def test_stored_depth_is_exact_to_a_tenth_of_a_millimeter(dataset: Rooms) -> None:

@@ -275,6 +275,7 @@ def test_without_a_checkpoint_the_best_weights_of_the_package_are_taken(tmp_path
     done = run_command("predict", "source=photo.jpg", "output=out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert f"weights: {BEST} (the default; checkpoint=... takes others)" in done.stdout
+    assert "license of the weights: Apache-2.0; trained on NYU Depth V2, a research release" in done.stdout
     assert (tmp_path / "out/photo_depth.png").is_file()
 
 
