@@ -4,6 +4,8 @@ A few hundred depth frames from any sensor:
 python -m eldenet.adapt data.root=my_frames intrinsics=[525,525,319.5,239.5]
 Or a drive with wheel odometry (seconds,x,y,heading):
 python -m eldenet.adapt source=walk.mp4 poses=odometry.csv camera_height=0.4 intrinsics=[525,525,319.5,239.5]
+Or a bag of ROS with such a drive, whose topics have pictures, CameraInfo and Odometry:
+python -m eldenet.adapt source=walk.mcap camera_height=0.4
 Or the camera's height above the floor, which must be in view:
 python -m eldenet.adapt source=walk.mp4 camera_height=0.8 intrinsics=[525,525,319.5,239.5]
 """
@@ -17,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.compose import REQUIRED, compose
+from eldenet.data.bags import Bag, is_bag
 from eldenet.data.drive_poses import Mount, read_poses
 from eldenet.data.splits import check_folders
 from eldenet.geometry import check_camera_height, intrinsic_matrix
@@ -49,8 +52,10 @@ class AdaptSettings:
     # of a camera at a fixed tilt: degrees below the horizon; null: fitted in each frame, 0 with poses
     camera_pitch: float | None = None
     camera_ahead: float = 0.2  # with poses of a robot: of the optical center before the wheels' axle [m]
-    source: str | None = None  # without depth frames: a folder of pictures, or a video
-    poses: str | None = None  # CSV of the source's drive: seconds,x,y,heading of the robot, or of the camera
+    source: str | None = None  # without depth frames: a folder of pictures, a video, or a bag of ROS
+    # CSV of the source's drive: seconds,x,y,heading of the robot, or of the camera; or a bag's topic
+    poses: str | None = None
+    topic: str | None = None  # of a bag's pictures; null: the only one with colors
     frames: int = 200  # of source: largest number to use
     force: bool = False  # take a factor of the depth above 3 or below 1/3, which is nearly always a mistake
     seed: int = 0
@@ -60,7 +65,7 @@ class AdaptSettings:
     def __post_init__(self) -> None:
         height, pitch = self.camera_height, self.camera_pitch
         # as data.intrinsics
-        in_files = height is None and self.poses is None and isinstance(self.intrinsics, str | dict)
+        in_files = height is None and not self.is_drive and isinstance(self.intrinsics, str | dict)
         if self.intrinsics is not None and not in_files:
             intrinsic_matrix(self.intrinsics)  # a mistake ends before torch is loaded
         if not 0 < self.minutes < math.inf:
@@ -73,6 +78,17 @@ class AdaptSettings:
             )
         if height is not None:
             check_camera_height(height)
+
+    @property
+    def bag(self) -> Path | None:
+        """The source if it is a bag of ROS."""
+        path = None if self.source is None else Path(self.source).expanduser()
+        return path if path is not None and is_bag(path) else None
+
+    @property
+    def is_drive(self) -> bool:
+        """Whether it is told where the camera was."""
+        return self.poses is not None or self.bag is not None
 
 
 def adapt(s: AdaptSettings) -> bool:
@@ -87,7 +103,7 @@ def adapt(s: AdaptSettings) -> bool:
     """
     find_checkpoint(s.weights, "weights", trained=True)
     with sole_writer(Path(s.output)):
-        if s.poses is not None:
+        if s.is_drive:
             return _tune(_label(s))
         return _tune(s) if s.camera_height is None else _calibrate(s)
 
@@ -107,11 +123,18 @@ def _tune(s: AdaptSettings) -> bool:
 def _label(s: AdaptSettings) -> AdaptSettings:
     """Write the depth that a drive's motion tells to ``s.output/labels``; return settings that tune on it."""
     started = time.monotonic()
-    source = _pictures(s, "poses")
+    source: Source | Bag
+    if s.bag is None:
+        source, table, intrinsics = _pictures(s, "poses"), Path(str(s.poses)).expanduser(), s.intrinsics
+    else:
+        source = Bag(s.bag, s.topic, s.intrinsics)
+        table, intrinsics = Path(s.poses or "").expanduser(), source.intrinsics
+        if not table.is_file():
+            table = source.write_odometry(s.poses, Path(s.output) / "odometry.csv")
     mount = None
     if s.camera_height is not None:
         mount = Mount(s.camera_height, math.radians(s.camera_pitch or 0.0), s.camera_ahead)
-    poses = read_poses(Path(str(s.poses)).expanduser(), mount)
+    poses = read_poses(table, mount)
     from eldenet.perception.drive_labels import label_drive
     from eldenet.results.run_log import RunLog
 
@@ -122,7 +145,7 @@ def _label(s: AdaptSettings) -> AdaptSettings:
     shutil.rmtree(labels, ignore_errors=True)  # of a run that was stopped
     labels.mkdir(parents=True)
     shutil.copyfile(poses.path, copied)
-    camera = label_drive(source, poses, s.intrinsics, labels, s.frames, RunLog(Path(s.output)))
+    camera = label_drive(source, poses, intrinsics, labels, s.frames, RunLog(Path(s.output)))
     read = {"root": str(labels), "intrinsics": camera, "ground_truth": "sparse"}
     data = {**s.data, **read, "protocol": {**s.data["protocol"], "ground_truth": "sparse"}}
     data |= {part: {**s.data[part], **read} for part in ("train", "val", "test")}
@@ -155,10 +178,12 @@ def _pictures(s: AdaptSettings, reader: str) -> "Source":
 @entry_point(AdaptSettings)
 def main(s: AdaptSettings) -> None:
     """Refuse settings that the other kind of adaptation reads, then adapt."""
-    if s.poses is not None:
+    if s.bag is None:
+        refuse_unread(("topic",), "only a bag of ROS as source= has topics")
+    if s.is_drive:
         frames = ("root", "images", "depths", "csv", "confidence", "encoding", "ground_truth", "intrinsics")
         unread = ("loss", "protocol", *(f"data.{name}" for name in frames))
-        refuse_unread(unread, "poses= makes the frames, from source=")
+        refuse_unread(unread, "poses= or a bag makes the frames, from source=")
     elif s.camera_height is None:
         refuse_unread(
             ("source", "frames", "camera_pitch", "camera_ahead"), "only poses= or camera_height= reads it"

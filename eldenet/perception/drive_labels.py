@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eldenet.data.bags import Bag
 from eldenet.data.depth_from_motion import TURN_COUNTS, MotionDepth, View, apart
 from eldenet.data.drive_poses import DrivePoses, in_order
 from eldenet.data.frame_files import seconds_of
@@ -27,12 +28,12 @@ Placed = tuple[str, np.ndarray, np.ndarray]
 
 
 def label_drive(
-    source: Source, poses: DrivePoses, intrinsics: object, folder: Path, most: int, log: RunLog
+    source: Source | Bag, poses: DrivePoses, intrinsics: object, folder: Path, most: int, log: RunLog
 ) -> list[float]:
     """Write ``images/`` and ``depths/`` (16-bit PNG [mm]); return fx, fy, cx, cy of the written pictures.
 
     Args:
-        source: pictures in the order of time, or a video.
+        source: pictures in the order of time, a video, or a bag of ROS.
         poses: of the camera during the drive.
         intrinsics: of the source's pictures [px].
         folder: to write to.
@@ -87,15 +88,18 @@ def label_drive(
     return [float(seen[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]
 
 
-def place_frames(source: Source, poses: DrivePoses) -> Iterator[Placed]:
+def place_frames(source: Source | Bag, poses: DrivePoses) -> Iterator[Placed]:
     """Yield the frames whose pose is known, in the order of time.
 
     Raises:
         ValueError: poses have no times, none falls into the video, or pictures and poses do not fit.
     """
+    if isinstance(source, Bag):
+        yield from _of_film(source.frames(), poses)
+        return
     if source.is_video:
         (file,) = source.names
-        yield from _of_video(Path(file), poses)
+        yield from _of_film(VideoFile(Path(file)).frames(), poses)
         return
     paths = in_order([Path(path) for path in source.names])
     times = [seconds_of(path.stem) for path in paths]
@@ -109,17 +113,18 @@ def place_frames(source: Source, poses: DrivePoses) -> Iterator[Placed]:
             yield path.name, read_image(path, upright=True), pose
 
 
-def _of_video(path: Path, poses: DrivePoses) -> Iterator[Placed]:
+def _of_film(frames: Iterator[tuple[np.ndarray, float]], poses: DrivePoses) -> Iterator[Placed]:
     if poses.seconds is None:
-        raise ValueError(f"{poses.path} has no column seconds: a video needs the times of its poses")
+        raise ValueError(f"{poses.path} has no column seconds: a video or bag needs the times of its poses")
     known: list[np.ndarray | None] = []
-    time = 0.0
-    for number, (picture, time) in enumerate(VideoFile(path).frames()):
+    times: list[float] = []
+    for number, (picture, time) in enumerate(frames):
+        times.append(time)
         known.append(poses.at(time))
         pose = known[-1]
         if pose is not None:
             yield f"{number:06d}", picture, pose
-    _refuse_no_overlap(poses, known, 0.0, time)
+    _refuse_no_overlap(poses, known, *(times[0], times[-1]) if times else (0.0, 0.0))
 
 
 def _refuse_no_overlap(poses: DrivePoses, known: list[np.ndarray | None], first: float, last: float) -> None:

@@ -18,6 +18,7 @@ EXTRAS = {
     "openvino": "deploy",
     "nncf": "deploy",
     "gymnasium": "nav",
+    "rosbags": "ros",
     "rerun": "viewer",
     "supervision": "viz",
     "mlflow": "loggers",

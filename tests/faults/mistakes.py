@@ -83,7 +83,7 @@ def _lift(intrinsics: Any, size: tuple[int, int]) -> Any:
 def _ros(intrinsics: Any, size: tuple[int, int]) -> Any:
     if ROS_PACKAGE not in sys.path:
         sys.path.insert(0, ROS_PACKAGE)
-    from eldenet_ros.messages import read_intrinsics
+    from eldenet.data.ros_messages import read_intrinsics
 
     matrix = intrinsic_matrix(intrinsics, check=False)
     return read_intrinsics(SimpleNamespace(k=matrix.ravel(), height=size[0], width=size[1]), size)

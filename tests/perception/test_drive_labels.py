@@ -1,12 +1,14 @@
 """A drive with odometry tunes weights as depth frames do, or is refused in one line."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
+from support.bags import lens, odometry, picture, write_bag
 
 import eldenet
 from eldenet.adapt import AdaptSettings, adapt
@@ -15,6 +17,7 @@ from eldenet.data.drive_poses import Mount, read_poses
 from eldenet.data.io import read_depth
 from eldenet.deploy.video_files import open_video
 from eldenet.geometry import pinhole
+from eldenet.visualization import write_picture
 
 SIZE, LENS = (96, 128), (100.0, 100.0, 63.5, 47.5)
 PER_SECOND, SPEED = 10, 0.4  # pictures per second, [m/s]
@@ -88,6 +91,34 @@ def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path
         errors.append(np.abs(np.log(found[known] / truth[known])))
     assert np.median(np.concatenate(errors)) < 0.05
     assert np.percentile(np.concatenate(errors), 90) < 0.2
+
+
+def test_a_bag_of_ros_gives_the_labels_of_its_pictures_and_odometry(tmp_path, monkeypatch):
+    tuned: list[dict] = []
+    monkeypatch.setattr("eldenet.training.adaptation.tune", lambda s, *_: tuned.append(s) or True)
+    monkeypatch.setattr("eldenet.perception.drive_labels.LEAST_FRAMES", 6)
+    cameras = drive(tmp_path, seconds=3.0)
+    table = tmp_path / "odometry.csv"
+    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    rows[:, 0] += 1.7e9  # ROS counts from 1970
+    np.savetxt(table, rows, fmt="%.6f", delimiter=",", header="seconds,x,y,heading", comments="")
+    messages = [lens(1.7e9, pinhole(*LENS), SIZE)]
+    for row, camera in zip(rows, cameras, strict=True):
+        image = corridor(camera)[0]
+        write_picture(tmp_path / f"pictures/{row[0]:.2f}.png", image)
+        messages += [picture(row[0], image), odometry(*row)]
+    bag = write_bag(tmp_path, messages)
+    given = {"pictures": [f"source={tmp_path / 'pictures'}"]}
+    given["bag"] = [f"source={bag}", "poses=null", "intrinsics=null"]
+    labels = {}
+    for name in given:
+        assert adapt(replace(setup(tmp_path, *given[name], "frames=8"), output=str(tmp_path / name)))
+        files = sorted((tmp_path / name / "labels").glob("*s/*.png"))
+        labels[name] = [cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files]
+    assert len(labels["bag"]) >= 12
+    assert all((one == other).all() for one, other in zip(labels["bag"], labels["pictures"], strict=True))
+    of_pictures, of_bag = tuned
+    assert of_bag["data"]["intrinsics"] == of_pictures["data"]["intrinsics"] == list(LENS)
 
 
 def test_labels_of_somebody_else_are_not_replaced(tmp_path):

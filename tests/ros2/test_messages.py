@@ -5,11 +5,11 @@ import struct
 
 import numpy as np
 import pytest
-from eldenet_ros.messages import read_color, read_depth, read_intrinsics, read_pose, read_scan, seconds
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from support.ros import BUILDER, STORE, header, image, through_cdr
 
 from eldenet.boxes import Boxes3D, corners_of
+from eldenet.data.ros_messages import read_color, read_depth, read_intrinsics, read_pose, seconds
 from eldenet.geometry import back_project, pinhole
 
 K = pinhole(110.0, 112.0, 3.5, 2.5)
@@ -189,20 +189,6 @@ def test_a_scan_looks_right_first_and_reads_inf_where_nothing_is() -> None:
     assert scan.ranges.tolist() == [1.0, 2.0, 3.0, math.inf]
     assert (scan.range_min, scan.range_max, scan.scan_time) == pytest.approx((0.3, 10.0, 0.2))
     assert scan.intensities.size == 0
-
-
-def test_a_lidar_s_scan_is_read_with_its_limits_and_its_place() -> None:
-    message = through_cdr(
-        BUILDER.laser_scan(header(), np.array([0.1, 2.0, np.nan, 10.0]), 0.4, 0.3, 10.0, 0.2)
-    )
-    scan = read_scan(message, ahead=0.1, yaw=1.0)
-    np.testing.assert_array_equal(scan.ranges, [np.nan, 2.0, np.nan, np.inf])
-    assert scan.angles == pytest.approx([0.7, 0.9, 1.1, 1.3])
-    assert scan.ahead == 0.1
-    for low, high in ((0.3, 0.0), (0.3, math.nan), (math.nan, 10.0), (-1.0, 10.0)):
-        message.range_min, message.range_max = low, high
-        with pytest.raises(ValueError, match="its publisher must send meters"):
-            read_scan(message, ahead=0.1, yaw=0.0)
 
 
 @pytest.mark.parametrize("wrong", [(math.nan, 0.1), (0.5, math.inf), (-math.inf, math.nan)])

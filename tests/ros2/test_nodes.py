@@ -71,14 +71,16 @@ class Node:
 @pytest.fixture
 def ros(monkeypatch):
     """Give a function that makes a node, by its file's name and its parameters."""
-    for name in ["rclpy", "rclpy.executors", "rclpy.node", "rclpy.qos", "rclpy.signals", "message_filters"]:
+    parts = ("exceptions", "node", "qos", "signals")
+    for name in ("rclpy", *(f"rclpy.{part}" for part in parts), "message_filters"):
         monkeypatch.setitem(sys.modules, name, MagicMock())
+    monkeypatch.setattr(sys.modules["rclpy.exceptions"], "ParameterException", KeyError)
     monkeypatch.setattr(sys.modules["rclpy.node"], "Node", Node)
+    for package in {kind.split("/")[0] for kind in STORE.types}:
+        for name in (package, f"{package}.msg"):
+            monkeypatch.setitem(sys.modules, name, ModuleType(name))
     for kind, message in STORE.types.items():
         package, _, short = kind.split("/")
-        if f"{package}.msg" not in sys.modules:
-            monkeypatch.setitem(sys.modules, package, ModuleType(package))
-            monkeypatch.setitem(sys.modules, f"{package}.msg", ModuleType(f"{package}.msg"))
         setattr(sys.modules[f"{package}.msg"], short, message)
     names = [f"eldenet_ros.{name}" for name in ("ros", *(f"{each}_node" for each in NODES))]
 
@@ -222,7 +224,7 @@ def test_the_last_command_of_the_driver_stops_the_robot(ros, monkeypatch) -> Non
         node.send(0.7, 0.1)
         raise RuntimeError
 
-    module.rclpy.spin = crash
+    sys.modules["rclpy"].spin = crash
     with pytest.raises(RuntimeError):
         module.main()
     assert [message.linear.x for message in nodes[0].sent["cmd_vel"]] == [0.7, 0.0]
@@ -329,6 +331,21 @@ def test_the_yaml_has_every_parameter_with_its_default(ros) -> None:
             assert name == "boxes"
         defaults = sys.modules[f"eldenet_ros.{name}_node"].PARAMETERS
         assert stored[f"eldenet_{name}"]["ros__parameters"] == defaults
+
+
+def test_no_beam_of_the_scan_is_lost_in_nav2s_costmap() -> None:
+    def parameters(file: str, *names: str) -> dict:
+        found = OmegaConf.to_container(OmegaConf.load(PACKAGE / "config" / file))
+        for name in names:
+            found = found[name]
+        return found["ros__parameters"]
+
+    scan = parameters("eldenet.yaml", "eldenet_scan")
+    source = parameters("nav2_costmap.yaml", "local_costmap", "local_costmap")["obstacle_layer"]["scan"]
+    assert source["inf_is_valid"]
+    assert source["obstacle_min_range"] < scan["range_min"]
+    assert source["obstacle_max_range"] < scan["range_max"]
+    assert source["min_obstacle_height"] < scan["camera_height"] < source["max_obstacle_height"]
 
 
 def test_the_launch_file_starts_the_installed_nodes_with_their_topics(ros, monkeypatch) -> None:

@@ -1,10 +1,11 @@
-"""A scan of any camera, for Nav2."""
+"""A scan of any camera, for Nav2, and of a lidar, for the driver."""
 
 import math
 
 import numpy as np
 import pytest
-from eldenet_ros.scan import scan_depth
+from eldenet_ros.scan import read_scan, scan_depth
+from support.ros import BUILDER, header, through_cdr
 
 from eldenet.geometry import back_project, pinhole
 
@@ -60,3 +61,17 @@ def test_only_heights_that_the_robot_can_touch_count() -> None:
 def test_numbers_out_of_range_end_in_one_line(wrong) -> None:
     with pytest.raises(ValueError, match="give meters"):
         scan_depth(room(160, 110.0, 8.0), pinhole(110, 110, 79.5, 47.5), **{**OPTIONS, **wrong})
+
+
+def test_a_lidar_s_scan_is_read_with_its_limits_and_its_place() -> None:
+    message = through_cdr(
+        BUILDER.laser_scan(header(), np.array([0.1, 2.0, np.nan, 10.0]), 0.4, 0.3, 10.0, 0.2)
+    )
+    scan = read_scan(message, ahead=0.1, yaw=1.0)
+    np.testing.assert_array_equal(scan.ranges, [np.nan, 2.0, np.nan, np.inf])
+    assert scan.angles == pytest.approx([0.7, 0.9, 1.1, 1.3])
+    assert scan.ahead == 0.1
+    for low, high in ((0.3, 0.0), (0.3, math.nan), (math.nan, 10.0), (-1.0, 10.0)):
+        message.range_min, message.range_max = low, high
+        with pytest.raises(ValueError, match="its publisher must send meters"):
+            read_scan(message, ahead=0.1, yaw=0.0)

@@ -38,6 +38,7 @@ LINES = {
     "pip install -e '.[deploy]'",
     "export checkpoint=eldenet_rooms format=openvino precision=int8": "format=openvino, precision=int8 needs "
     "onnx, onnxscript, openvino, nncf: pip install -e '.[deploy]'",
+    "adapt source=walk.mcap camera_height=1": "source=walk.mcap needs rosbags: pip install -e '.[ros]'",
     "demo": "the demo needs onnx, onnxscript: pip install -e '.[deploy]'",
     "benchmark": "the plot of latencies needs matplotlib: pip install -e '.[plots]'",
     f"report study={REPOSITORY / 'experiments/table3_rivals'}": "the report of a study needs matplotlib: "

@@ -9,13 +9,13 @@ from message_filters import Subscriber, TimeSynchronizer
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from eldenet.data.ros_messages import read_color, read_depth, read_intrinsics, seconds
 from eldenet.geometry import PinholeCamera
 from eldenet.perception.lifter import BoxLifter
 from eldenet.perception.onnx_detector import OnnxDetector
 from eldenet.perception.scene import Perception
 from eldenet.perception.tracking import BoxTracker
 from eldenet.uncertainty import DepthEstimate
-from eldenet_ros.messages import read_color, read_depth, read_intrinsics, seconds
 from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported, run
 
 PARAMETERS = {

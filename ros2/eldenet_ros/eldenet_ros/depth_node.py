@@ -1,15 +1,12 @@
-"""Depth of a camera: an image and its calibration in; depth, its sigma and a point cloud out.
-
-Tested with stand-ins for ROS's modules, not in ROS.
-"""
+"""Depth of a camera: an image and its calibration in; depth, its sigma and a point cloud out."""
 
 from typing import Any
 
 from rclpy.node import Node
 
+from eldenet.data.ros_messages import is_distorted, read_color, read_intrinsics
 from eldenet.geometry import back_project
 from eldenet.uncertainty import as_estimate
-from eldenet_ros.messages import is_distorted, read_color, read_intrinsics
 from eldenet_ros.network import open_predictor
 from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported, run
 

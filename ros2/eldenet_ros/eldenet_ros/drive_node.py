@@ -5,7 +5,7 @@ odometry are older than ``stale`` or not finite, and says what is missing. After
 last command stops the robot. A process that hangs can send nothing: let the base stop by itself when commands
 end, let it limit speed and acceleration, and keep a hardware emergency stop within reach.
 
-Tested with stand-ins for ROS's modules, not in ROS and not on a robot. docs/navigation.md lists what the
+Tested with rclpy, not on a robot. docs/navigation.md lists what the
 robot must be like.
 """
 
@@ -13,16 +13,16 @@ import signal
 from typing import Any
 
 import numpy as np
-import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from eldenet.data.ros_messages import read_depth, read_intrinsics, read_pose, seconds
 from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
 from eldenet.navigation.policy import Navigator
 from eldenet.simulation.robot import ROBOT
 from eldenet_ros.driving import Pilot
-from eldenet_ros.messages import read_depth, read_intrinsics, read_pose, read_scan, seconds
-from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported
+from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported, run
+from eldenet_ros.scan import read_scan
 
 PARAMETERS = {
     "policy": "",
@@ -63,6 +63,7 @@ class DriveNode(Node):
             latency=chosen.latency,
             stale=chosen.stale,
         )
+        self.stands = True
         self.info: Any = None
         self.depth: Any = None
         self.sigma: Any = None
@@ -130,8 +131,11 @@ class DriveNode(Node):
     def decide(self) -> None:
         """Publish a command."""
         command = self.pilot.decide(self.get_clock().now().nanoseconds * 1e-9)
-        if command.reason:
+        if command.reason and not self.stands:
+            self.get_logger().info(f"stopped: {command.reason}")
+        elif command.reason:
             self.get_logger().info(f"stopped: {command.reason}", throttle_duration_sec=5.0)
+        self.stands = bool(command.reason)
         self.send(command.speed, command.turn)
 
     def send(self, speed: float, turn: float) -> None:
@@ -144,18 +148,10 @@ class DriveNode(Node):
 
 def main() -> None:
     """Run the node."""
-    # rclpy's own handlers would shut it down before the last command is sent
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    # rclpy's own handlers would shut it down before the last command is sent; Python's are seen because the
+    # timer wakes the node up five times a second
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    node = DriveNode()
-    try:
-        rclpy.spin(node)  # the timer wakes it up five times a second, so signals are seen
-    except KeyboardInterrupt:
-        pass
-    finally:
-        node.send(0.0, 0.0)
-        node.destroy_node()
-        rclpy.try_shutdown()
+    run(DriveNode, lambda node: node.send(0.0, 0.0), signal_handler_options=SignalHandlerOptions.NO)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -57,12 +57,32 @@ def reported(callback: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]
     return call
 
 
-def run(make: Callable[[], Node]) -> None:
-    """Run a node until Ctrl-C or SIGTERM."""
-    rclpy.init()
+def run(make: Callable[[], Any], last: Callable[[Any], None] = lambda node: None, **options: Any) -> None:
+    """Run a node until Ctrl-C or SIGTERM; a wrong parameter ends it in one line.
+
+    Args:
+        make: the node's class.
+        last: what the node does before it ends, after an error too.
+        options: of ``rclpy.init``.
+    """
+    rclpy.init(**options)
     try:
-        rclpy.spin(make())
-    except (KeyboardInterrupt, ExternalShutdownException):
+        node = _made(make)
+        try:
+            rclpy.spin(node)
+        finally:
+            last(node)
+    except KeyboardInterrupt:
         pass
+    except Exception:
+        if rclpy.ok():  # otherwise the end came in the middle of its work
+            raise
     finally:
         rclpy.try_shutdown()
+
+
+def _made(make: Callable[[], Any]) -> Any:
+    try:
+        return make()
+    except (ValueError, OSError, ImportError, ParameterException) as error:
+        raise SystemExit(f"error: {error}") from error

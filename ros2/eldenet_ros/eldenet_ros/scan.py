@@ -1,9 +1,11 @@
-"""A laser scan from a depth image, for Nav2. Needs no ROS."""
+"""A laser scan from a depth image, for Nav2, and a lidar's for the driver. Needs no ROS."""
 
 import math
+from typing import Any
 
 import numpy as np
 
+from eldenet.navigation.lidar import Scan
 from eldenet.navigation.ranges import depth_to_ranges
 from eldenet.simulation.robot import Robot
 
@@ -50,3 +52,25 @@ def scan_depth(
     view = Robot(field_of_view=2 * half, columns=beams, near=near, far=far)
     ranges = depth_to_ranges(depth, intrinsics, camera_height=camera_height, robot=view, heights=heights)
     return ranges, half
+
+
+def read_scan(scan: Any, *, ahead: float, yaw: float) -> Scan:
+    """Ranges [m] and angles of a ``sensor_msgs/LaserScan``; inf from ``range_max``, NaN below ``range_min``.
+
+    Args:
+        scan: of a level lidar.
+        ahead: of the lidar, in front of the axle's center [m].
+        yaw: of its frame, counter-clockwise from straight ahead [rad].
+
+    Raises:
+        ValueError: the limits of its ranges are none.
+    """
+    if not 0 <= scan.range_min < scan.range_max:
+        raise ValueError(
+            f"scan has range_min {scan.range_min} and range_max {scan.range_max}: its publisher must send "
+            "meters, the second above the first"
+        )
+    ranges = np.array(scan.ranges, np.float64)
+    free, close = ranges >= scan.range_max, ranges < scan.range_min
+    angles = yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    return Scan(np.where(free, np.inf, np.where(close, np.nan, ranges)), angles, ahead)

@@ -1,15 +1,12 @@
-"""A laser scan from a depth image, for Nav2's costmaps.
-
-Tested with stand-ins for ROS's modules, not in ROS.
-"""
+"""A laser scan from a depth image, for Nav2's costmaps."""
 
 from typing import Any
 
 from rclpy.node import Node
 
+from eldenet.data.ros_messages import read_depth, read_intrinsics, seconds
 from eldenet.navigation.ranges import HIGHEST, LOWEST
 from eldenet.simulation.robot import ROBOT
-from eldenet_ros.messages import read_depth, read_intrinsics, seconds
 from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported, run
 from eldenet_ros.scan import scan_depth
 
