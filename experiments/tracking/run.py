@@ -1,11 +1,12 @@
 """Tracking on rendered drives: identity switches, MOTA and HOTA at several errors of the depth.
 
 pip install -e '.[tracking]'
-python experiments/tracking/run.py
+python experiments/tracking/run.py --drives 20
 
 The same detections go to SORT (2D boxes alone) as published and as tuned, to our tracker without 2D boxes
 (distances from above alone) and with them, all with the same ``min_hits`` and ``max_age``. TrackEval scores
 the 2D boxes, IoU 0.5.
+Intervals draw whole drives; differences are to SORT as tuned, on the same drives.
 Settings were chosen on ``--split train``, SORT's by ``tune_sort.py``.
 """
 
@@ -13,6 +14,7 @@ import argparse
 import contextlib
 import io
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +24,7 @@ from drives import SECONDS, SIZE, Frame, camera, drive, measured
 from sort import TUNED, Sort
 
 from eldenet.boxes import Boxes3D
+from eldenet.evaluation.bootstrap import bootstrap_interval
 from eldenet.perception.iou import iou_2d
 from eldenet.perception.lifter import SENSOR_SIGMA, BoxLifter
 from eldenet.perception.tracking import BoxTracker
@@ -33,14 +36,16 @@ with contextlib.redirect_stdout(io.StringIO()):  # it names the parts that need 
 
 HERE = Path(__file__).parent
 ERRORS = (0.0, 0.03, 0.06, 0.12)
-TRACKERS = ("SORT", "SORT, tuned", "distance alone", "distance and 2D box")
+RIVAL = "SORT, tuned"
+TRACKERS = ("SORT", RIVAL, "distance alone", "distance and 2D box")
 MIN_HITS, MAX_AGE = 2, 5
 FIRST = {"train": 50000, "test": 0}
 COLUMNS = (
-    "depth_error", "tracker", "switches", "MOTA", "HOTA", "AssA", "fragments", "objects", "boxes", "drives",
-    "frames", "split", "command",
+    "depth_error", "tracker", "switches", "MOTA", "HOTA", "AssA", "fragments", "HOTA_interval",
+    "switches_gap", "HOTA_gap", "objects", "boxes", "drives", "frames", "split", "command",
 )  # fmt: skip
 
+Scored = tuple[dict, dict]  # TrackEval's CLEAR and HOTA figures of one drive
 Numbered = list[np.ndarray]  # per frame: (N,) number of each detection's track, 0 for none
 
 
@@ -51,12 +56,12 @@ def main() -> None:
     options.add_argument("--split", choices=("train", "test"), default="test")
     options.add_argument("--output", type=Path, default=HERE / "results", help="without an ending")
     args = options.parse_args()
-    parts: dict[tuple[float, str], list[tuple[dict, dict]]] = {}
+    parts: dict[tuple[float, str], list[Scored]] = {}
     for number in range(args.drives):
         frames = list(drive(args.split, FIRST[args.split] + number, args.frames))
         flat = {
             "SORT": score(frames, by_sort(frames)),
-            "SORT, tuned": score(frames, by_sort(frames, **TUNED)),
+            RIVAL: score(frames, by_sort(frames, **TUNED)),
         }
         for error in ERRORS:
             lifted = lift(frames, error)
@@ -65,8 +70,8 @@ def main() -> None:
             for name in TRACKERS[2:]:
                 numbered = by_boxes(frames, lifted, flat=name != TRACKERS[2])
                 parts.setdefault((error, name), []).append(score(frames, numbered))
-        write(parts, args)
         print(f"{number + 1} of {args.drives} drives", flush=True)
+    write(parts, args)
     draw(args.output.with_suffix(".csv"), args.output.with_suffix(".png"))
 
 
@@ -95,8 +100,7 @@ def by_boxes(frames: list[Frame], lifted: list[Boxes3D], *, flat: bool) -> Numbe
     return numbered
 
 
-def score(frames: list[Frame], numbered: Numbered) -> tuple[dict, dict]:
-    """Return TrackEval's CLEAR and HOTA figures of one drive."""
+def score(frames: list[Frame], numbered: Numbered) -> Scored:
     truth, found, similar = [], [], []
     true_ids = {int(n): i for i, n in enumerate(np.unique(np.concatenate([f.numbers for f in frames])))}
     ids = np.unique(np.concatenate(numbered))
@@ -120,7 +124,7 @@ def score(frames: list[Frame], numbered: Numbered) -> tuple[dict, dict]:
         }, hota.eval_sequence(data)
 
 
-def together(scored: list[tuple[dict, dict]]) -> tuple[int, str, str, str, int]:
+def together(scored: list[Scored]) -> tuple[int, str, str, str, int]:
     """Return switches, MOTA, HOTA, AssA [%] and fragments over drives."""
     clear, hota = (
         metric.combine_sequences(dict(enumerate(parts)))
@@ -133,25 +137,57 @@ def together(scored: list[tuple[dict, dict]]) -> tuple[int, str, str, str, int]:
     return int(clear["IDSW"]), f"{mota:.1f}", f"{hota_mean:.1f}", f"{assa:.1f}", int(clear["Frag"])
 
 
-def write(parts: dict[tuple[float, str], list[tuple[dict, dict]]], args: argparse.Namespace) -> None:
-    """Write the figures over the drives so far."""
+def switches(scored: list[Scored]) -> float:
+    return float(sum(clear["IDSW"] for clear, _ in scored))
+
+
+def hota(scored: list[Scored]) -> float:
+    return float(100 * np.mean(HOTA().combine_sequences(dict(enumerate(part for _, part in scored)))["HOTA"]))
+
+
+def over_drives(figure: Callable[[list[Scored]], float], *sides: list[Scored]) -> tuple[float, float, float]:
+    """Return a figure, or its difference between two sides on the same drives, with its 95 % interval."""
+
+    def value(drawn: np.ndarray) -> float:
+        first, *others = (figure([side[one] for one in drawn]) for side in sides)
+        return first - sum(others)
+
+    count = len(sides[0])
+    return value(np.arange(count)), *bootstrap_interval(value, count)
+
+
+def write(parts: dict[tuple[float, str], list[Scored]], args: argparse.Namespace) -> None:
+    """Write the figures over all drives."""
     command = " ".join(["python experiments/tracking/run.py", *sys.argv[1:]])
-    rows = []
-    for (error, name), scored in parts.items():
+    rows, lines = [], []
+    for (error, name), scored in sorted(
+        parts.items(), key=lambda one: (one[0][0], TRACKERS.index(one[0][1]))
+    ):
         figures = together(scored)
+        _, low, high = over_drives(hota, scored)
+        span, gaps = f"[{low:.1f}, {high:.1f}]", ["", ""]
+        if name != RIVAL:
+            rival = parts[error, RIVAL]
+            gaps = ["{:+.0f} [{:+.0f}, {:+.0f}]".format(*over_drives(switches, scored, rival)),
+                    "{:+.1f} [{:+.1f}, {:+.1f}]".format(*over_drives(hota, scored, rival))]  # fmt: skip
         rows.append([
-            error, name, *figures, sum(part["ids"] for part, _ in scored),
+            error, name, *figures, span, *gaps, sum(part["ids"] for part, _ in scored),
             sum(part["boxes"] for part, _ in scored), len(scored), args.frames, args.split, command,
         ])  # fmt: skip
-    rows.sort(key=lambda row: (row[0], TRACKERS.index(row[1])))
+        cells = [name, *figures[:2], f"{figures[2]} {span}", *figures[3:], *gaps]
+        lines.append(f"| {error:.0%} | {' | '.join(map(str, cells))} |")
     write_rows(args.output.with_suffix(".csv"), COLUMNS, rows)
-    titles = "depth error", "tracker", "identity switches", "MOTA [%]", "HOTA [%]", "AssA [%]", "fragments"
-    first = rows[0]
+    titles = (
+        "depth error", "tracker", "identity switches", "MOTA [%]", "HOTA [%]", "AssA [%]", "fragments",
+        f"switches - {RIVAL}", f"HOTA - {RIVAL}",
+    )  # fmt: skip
+    first = dict(zip(COLUMNS, rows[0], strict=True))
     text = [
-        f"| {' | '.join(titles)} |", "|---:|---|" + "---:|" * 5,
-        *(f"| {row[0]:.0%} | {' | '.join(map(str, row[1:7]))} |" for row in rows), "",
-        f"{first[9]} rendered {args.split} drives of {args.frames} frames at {1 / SECONDS:.0f} per second, "
-        f"{SIZE[0]} x {SIZE[1]}: {first[7]} objects, {first[8]} boxes of them. TrackEval, 2D IoU 0.5.", "",
+        f"| {' | '.join(titles)} |", "|---:|---|" + "---:|" * (len(titles) - 2), *lines, "",
+        f"{first['drives']} rendered {args.split} drives of {args.frames} frames at {1 / SECONDS:.0f} per "
+        f"second, {SIZE[0]} x {SIZE[1]}: {first['objects']} objects, {first['boxes']} boxes of them. "
+        "TrackEval, 2D IoU 0.5. Differences are on the same drives. Brackets: 95 % of 2000 resamples of "
+        "whole drives.", "",
         f"Made by `{command}`.",
     ]  # fmt: skip
     write_text(args.output.with_suffix(".md"), "\n".join(text) + "\n")
