@@ -350,7 +350,8 @@ def test_no_beam_of_the_scan_is_lost_in_nav2s_costmap() -> None:
 
 def test_the_launch_file_starts_the_installed_nodes_with_their_topics(ros, monkeypatch) -> None:
     for name in ("ament_index_python.packages", "launch", "launch.actions", "launch.conditions",
-                 "launch.substitutions", "launch_ros.actions"):  # fmt: skip
+                 "launch.substitutions", "launch_ros.actions",
+                 "launch_ros.parameter_descriptions"):  # fmt: skip
         monkeypatch.setitem(sys.modules, name, MagicMock())
     sys.modules["ament_index_python.packages"].get_package_share_directory = lambda name: PACKAGE
     sys.modules["launch.substitutions"].LaunchConfiguration = lambda name: f"${name}"

@@ -8,6 +8,7 @@ from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 PACKAGE = "eldenet_ros"
 ARGUMENTS = {
@@ -31,6 +32,8 @@ def generate_launch_description() -> LaunchDescription:
     given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     depth = [("depth/image", given["depth_image"]), ("depth/camera_info", given["depth_info"])]
     picture = ("image", given["image"])
+    # as text: launch reads a bare value as YAML, in which nothing is null
+    text = {name: ParameterValue(given[name], value_type=str) for name in ("detector", "lidar")}
 
     def node(name: str, condition: object, remappings: list, extra: dict | None = None) -> Node:
         return Node(
@@ -52,12 +55,12 @@ def generate_launch_description() -> LaunchDescription:
             ),
             node("depth", given["depth"], [picture, ("camera_info", given["camera_info"]), *depth]),
             node("scan", given["scan"], depth),
-            node("boxes", has_detector, [picture, *depth], {"detector": given["detector"]}),
+            node("boxes", has_detector, [picture, *depth], {"detector": text["detector"]}),
             node(
                 "drive",
                 given["drive"],
                 [*depth, ("odom", given["odom"]), ("cmd_vel", given["cmd_vel"])],
-                {"lidar": given["lidar"]},
+                {"lidar": text["lidar"]},
             ),
         ]
     )
