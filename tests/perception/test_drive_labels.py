@@ -121,6 +121,16 @@ def test_a_bag_of_ros_gives_the_labels_of_its_pictures_and_odometry(tmp_path, mo
     assert of_bag["data"]["intrinsics"] == of_pictures["data"]["intrinsics"] == list(LENS)
 
 
+def test_a_bag_whose_odometry_has_another_clock_is_refused(tmp_path):
+    image = np.zeros((*SIZE, 3), np.uint8)
+    messages = [lens(1.7e9, pinhole(*LENS), SIZE)]
+    for step in range(20):
+        messages += [picture(1.7e9 + step / 8, image), odometry(50 + step / 8, step / 10, 0.0, 0.0)]
+    given = [f"source={write_bag(tmp_path, messages)}", "poses=null", "intrinsics=null"]
+    with pytest.raises(ValueError, match=r"poses from 50.00 to 52.38 s, .* from 1700000000.00 to"):
+        adapt(setup(tmp_path, *given))
+
+
 def test_labels_of_somebody_else_are_not_replaced(tmp_path):
     drive(tmp_path, seconds=4.0)
     (tmp_path / "run/labels").mkdir(parents=True)
