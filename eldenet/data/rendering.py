@@ -42,6 +42,7 @@ class Generator(NamedTuple):
         depth_step: stored depth is a multiple of this [m].
         detail: passed on to the renderer where it is true.
         near: share of frames of what is close; the same.
+        down: share of frames that look down; the same.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Generator(NamedTuple):
     depth_step: float = DEPTH_STEP
     detail: bool = False
     near: float = 0.0
+    down: float = 0.0
 
     @property
     def farthest(self) -> int:
@@ -72,7 +74,11 @@ class Generator(NamedTuple):
 
     def folder_name(self, size: tuple[int, int]) -> str:
         """Name of the folder that holds the frames of ``(height, width)`` [px]."""
-        name = self.name + "-detail" * self.detail + (f"-near{self.near:g}" if self.near else "")
+        name = (
+            self.name
+            + "-detail" * self.detail
+            + "".join(f"-{name}{share:g}" for name in ("near", "down") if (share := getattr(self, name)))
+        )
         if self.focal is not None:
             low, high = self.focal
             return f"{name}-v{self.version}-{size[0]}x{size[1]}-focal-{low:g}-{high:g}"
@@ -118,7 +124,7 @@ class SceneStore:
     def _render(self, generator: Generator, scene: int) -> None:
         module, _, function = generator.renderer.rpartition(".")
         options: dict[str, object] = {} if generator.focal is None else {"focal": generator.focal}
-        options |= {name: value for name in ("detail", "near") if (value := getattr(generator, name))}
+        options |= {name: value for name in ("detail", "near", "down") if (value := getattr(generator, name))}
         views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS, **options)
         step = generator.depth_step
         meters = encode_depth(views.depth, step).astype(np.float32) * np.float32(step)

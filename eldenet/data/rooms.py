@@ -13,6 +13,7 @@ class Rooms(RenderedScenes):
         detail: rooms as people photograph them: natural colors, more things, light that bounces, shade where
             things touch.
         near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
+        down: share of frames that look down at the floor and what stands on it.
         **options: see :class:`~eldenet.data.rendered.RenderedScenes`.
     """
 

@@ -99,10 +99,21 @@ def test_near_rooms_show_what_is_close(tmp_path: Path) -> None:
     some = Rooms("train", 32, size=SIZE, root=tmp_path, workers=2, near=0.25)
     medians = [float(np.median(some.load_frame(index).depth)) for index in range(32)]
     assert 2 <= sum(median < 1.3 for median in medians) <= 16
-    with pytest.raises(ValueError, match=r"near=15\.0: give the share of frames of what is close, 0 to 1"):
-        Rooms("train", 8, size=SIZE, root=tmp_path, near=15.0)
-    with pytest.raises(ValueError, match="near=1: streets has no such frames; rooms has"):
+    with pytest.raises(
+        ValueError, match=r"near=0\.6, down=0\.6: give shares of the frames, 0 to 1 and at most 1 together"
+    ):
+        Rooms("train", 8, size=SIZE, root=tmp_path, near=0.6, down=0.6)
+    with pytest.raises(ValueError, match=r"near=1, down=0\.0: streets has no such frames; rooms has"):
         Streets("train", 8, root=tmp_path, near=1)
+
+
+def test_rooms_that_look_down_show_the_floor(tmp_path: Path) -> None:
+    views = render_room("train", 3, SIZE, focal=(0.7, 0.9), detail=True, down=1.0)
+    below = np.median([depth[-1].mean() < depth[0].mean() for depth in views.depth])
+    assert below == 1  # the lower border is nearer
+    assert (views.rotation[:, 2, 2] < np.sin(-0.25)).all()  # the optical axis points down
+    folder = Rooms("train", 8, size=SIZE, root=tmp_path, workers=0, down=0.5).folder
+    assert folder.name.startswith("rooms-down0.5-v1")
 
 
 def test_stored_depth_is_exact_to_a_tenth_of_a_millimeter(dataset: Rooms) -> None:

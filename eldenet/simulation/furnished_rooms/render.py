@@ -42,6 +42,7 @@ def render_room(
     focal: tuple[float, float] = KINECT,
     detail: bool = False,
     near: float = 0.0,
+    down: float = 0.0,
 ) -> Views:
     """Render the frames of room ``index`` of a split at ``(height, width)`` [px].
 
@@ -53,6 +54,7 @@ def render_room(
         focal: range of fx [widths]; each frame draws its own.
         detail: rooms as people photograph them: natural colors, more things, light that bounces.
         near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
+        down: share of frames that look down at the floor and what stands on it.
     """
     cv2.setNumThreads(0)
     room = CompiledRoom(generate_room(split, index, detail))
@@ -60,7 +62,8 @@ def render_room(
     frames = []
     for view in range(views):
         camera = RayCamera(size, draw_intrinsics(draw, size, focal))
-        choose = choose_near_pose if near and draw.chance(near) else choose_pose
+        kind = draw.uniform(0, 1) if near or down else 1.0
+        choose = choose_near_pose if kind < near else choose_pose_down if kind < near + down else choose_pose
         position, rotation = choose(room, camera, draw, by_hand=detail)
         linear, hits = room.photograph(camera, position, rotation)
         seed = (SPLITS[split], index, 2, view)
@@ -166,5 +169,34 @@ def choose_near_pose(
         miss += 0.15 * max(0, geoms_wanted - len(np.unique(geoms)))
         if best is None or miss < best[0]:
             best = (miss, position, rotation)
+    assert best is not None
+    return best[1], best[2]
+
+
+def choose_pose_down(
+    room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera that looks down at the floor.
+
+    It is 0.3 to 1.8 m above the floor (1.0 m without ``by_hand``) and looks 17 to 60 degrees below the
+    horizon. Of 20 candidates, the first whose middle sees about as far as the floor, with a thing in view, is
+    taken.
+    """
+    probe = _handful_of_rays(camera)
+    sx, sy, h = room.room.size
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+    for _ in range(20):
+        z = draw.uniform(0.3, min(1.8, h - 0.2) if by_hand else 1.0)
+        x, y = draw.uniform(-0.5, 0.5) * (sx - 0.5), draw.uniform(-0.5, 0.5) * (sy - 0.5)
+        yaw = float(np.arctan2(-y, -x)) + draw.uniform(-1.0, 1.0)  # across the room
+        pitch, roll = draw.uniform(-1.05, -0.3), draw.uniform(-0.1, 0.1)
+        position, rotation = np.array([x, y, z]), camera_rotation(yaw, pitch, roll)
+        depth, geoms = probe.probe(room.model, room.data, position, rotation)
+        floor = 0.8 * z / np.sin(-pitch)
+        miss = max(0.0, floor - float(np.median(depth))) + 0.15 * max(0, 3 - len(np.unique(geoms)))
+        if best is None or miss < best[0]:
+            best = (miss, position, rotation)
+        if miss == 0.0:
+            break
     assert best is not None
     return best[1], best[2]
