@@ -100,6 +100,22 @@ def test_it_backs_up_where_it_can_only_stand():
     assert driver._careful(0, 0.0, np.concatenate([walls, behind]), nothing) == (0.0, 0.0)
 
 
+def test_with_a_lidar_it_turns_toward_the_target_while_it_backs_up():
+    nothing = np.empty((0, 2))
+    ahead = np.stack([np.full(13, 0.36), np.linspace(-0.3, 0.3, 13)], axis=1)
+    corner = np.stack([np.full(5, -0.4), np.linspace(-0.45, -0.31, 5)], axis=1)  # behind, to the right
+    cornered = np.concatenate([ahead, corner])
+    for columns, walls, turns in ((40, ahead, (0, 0)), (206, ahead, (1, -1)), (206, cornered, (0, -1))):
+        driver = PlanAndSteer()
+        seen = np.full((1, columns), ROBOT.far)
+        driver.commands(Senses(seen, np.zeros((1, 3)), np.array([[5.0, 0.0]])))
+        for bearing, turn in zip((0.8, -0.8), turns, strict=True):
+            driver.observer.last[:] = driver._backs[:] = 0
+            speed, rate = driver._careful(0, bearing, walls, nothing)
+            assert speed < 0
+            assert np.sign(rate) == turn
+
+
 def test_a_circle_is_a_place_again_after_a_way():
     turn = np.linspace(0, 2 * np.pi, 60)
     around = [(np.cos(t), np.sin(t), t) for t in turn]

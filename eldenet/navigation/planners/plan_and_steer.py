@@ -45,7 +45,9 @@ LOOK_WAY, LOOK_TURN = 0.3, 2 * math.pi  # turns so far within a way, it has seen
 UNSEEN_REACH = 1.6  # distance up to which unseen places count [m]
 CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] after a way [m] and a time [s]
 OUT_OF_CIRCLE = 8.0  # time for which the dynamic window alone then follows a path through wide places [s]
-BACK, BACKS_FOR = (-0.25, 0.0), 2.0  # command [m/s], [rad/s] of a robot that can only stand, for a time [s]
+#: Commands [m/s], [rad/s] of a robot that can only stand, for a time [s]; those that turn need a lidar.
+BACK, BACK_LEFT, BACK_RIGHT = BACKS = (-0.25, 0.0), (-0.25, 0.5), (-0.25, -0.5)
+BACKS_FOR = 2.0
 #: Of what this driver decides, without and with ``heeds_unseen``; stored rows name it.
 STEER_VERSION, HEEDS_VERSION = 4, 1
 _LEVELS = 20  # of speed in the table of arcs
@@ -56,7 +58,8 @@ class PlanAndSteer(OnRobot):
 
     The map keeps what was seen; unseen cells are free for the plan, but not for the next arc. When the robot
     comes back to where it was, it follows a path through wider places with the dynamic window alone for a
-    while. Where it can only stand, it backs up, or turns on the spot, and does the same.
+    while. Where it can only stand, it backs up, or turns on the spot, and does the same. With a lidar, which
+    sees what is behind, it turns while it backs up.
 
     Args:
         path: policy of the learned driver; None: the packaged one.
@@ -110,7 +113,8 @@ class PlanAndSteer(OnRobot):
         self._looks = np.zeros((robots, 3))  # where it is [m], and how far it has turned there [rad]
         self._window = DynamicWindow(WINDOW_SLACK if heeds_unseen else 0.0)
         arcs = [(level / _LEVELS, rate) for level in range(_LEVELS + 1) for rate in rates]
-        self._table = arc_table((*arcs, BACK), HORIZON, STEER_MARGIN)
+        self._table = arc_table((*arcs, *BACKS), HORIZON, STEER_MARGIN)
+        self._sees_behind = False
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
         """Forget the map."""
@@ -140,6 +144,7 @@ class PlanAndSteer(OnRobot):
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
         who = np.arange(self.observer.robots) if robots is None else robots
         goal, poses = senses.goal.copy(), {}
+        self._sees_behind = senses.ranges.shape[1] > ROBOT.columns
         before = self._remembered(senses, who)
         for robot in who.tolist():
             known = self._maps[robot]
@@ -262,8 +267,11 @@ class PlanAndSteer(OnRobot):
             self._backs[robot] = round(BACKS_FOR / ROBOT.period)
             self._left[robot] = round(OUT_OF_CIRCLE / ROBOT.period)
         behind = np.concatenate([walls, hidden])
-        if _along(self._table, behind, len(self._table.commands) - 1)[0] >= FREE:
-            return BACK
+        turns = (BACK_LEFT, BACK_RIGHT) if bearing > 0 else (BACK_RIGHT, BACK_LEFT)
+        for command in (turns[0], BACK, turns[1]) if self._sees_behind else (BACK,):
+            number = len(self._table.commands) - len(BACKS) + BACKS.index(command)
+            if _along(self._table, behind, number)[0] >= FREE:
+                return command
         self._backs[robot] = 0
         return 0.0, self._free_turn(bearing, last[1], walls)
 
