@@ -21,7 +21,6 @@ _KEPT_STARTS = 2  # per object, for the remaining steps
 _MIN_DECREASE = 1e-3  # a step that lowers the cost by less is the last
 _TAIL = 3.0  # residuals of edges and priors beyond this lose their pull [sigma]
 _MAX_STEP = np.array([3.0, 5.0, 0.5, 0.3, 0.2, 0.2, 0.2, 0.2])  # of each unknown
-_INFORMATION = 10.0  # independent measurements that the points of an object are worth
 _MAX_DEPTH_INSIDE = -2.0  # [m]: points deeper inside a box count as if they were here
 _MIN_Z = 0.3  # [m]: silhouette points nearer to the image plane are left out
 
@@ -34,6 +33,7 @@ class Problem(ArrayRows):
         direction: ``(B, P, 3)`` rays of the points, see :class:`~eldenet.perception.foreground.Foreground`.
         depth: ``(B, P)`` of the points [m].
         weight: ``(B, P)`` of the points.
+        worth: ``(B,)`` independent measurements that they are worth together.
         point_sigma: ``(B, 2)`` of a point outside and inside the surface [m].
         fill: ``(B,)`` share of the box's length and width at which that surface lies.
         xyxy: ``(B, 4)`` 2D boxes [px].
@@ -50,6 +50,7 @@ class Problem(ArrayRows):
     direction: np.ndarray
     depth: np.ndarray
     weight: np.ndarray
+    worth: np.ndarray
     point_sigma: np.ndarray
     fill: np.ndarray
     xyxy: np.ndarray
@@ -170,7 +171,8 @@ def _point_terms(
     jacobian /= factor[..., None]
     jacobian[..., SCALE] -= residual
     sigma = np.where(outside, problem.point_sigma[:, :1], problem.point_sigma[:, 1:])
-    share = _INFORMATION / np.maximum(problem.weight.sum(1, keepdims=True), _INFORMATION)
+    share = problem.worth[:, None]
+    share = share / np.maximum(problem.weight.sum(1, keepdims=True), share)
     weight, relative = problem.weight * share, residual / sigma
     cost = 0.5 * (weight * np.log1p(relative**2)).sum(1)
     weighted = jacobian * (weight / (1 + relative**2) / sigma**2)[..., None]

@@ -12,6 +12,10 @@ from eldenet.perception.foreground import Foreground, expected_depth
 from eldenet.perception.ground import GroundPlane
 from eldenet.perception.priors import ClassPrior, silhouette
 
+UNSURE = 0.12  # depth error of an object beyond which its points are worth ``UNSURE_WORTH``
+#: Independent measurements by shape, for depth of slim and small things is partly the background's:
+#: experiments/table4_centres/unsure.md, chosen on rendered training scenes.
+UNSURE_WORTH = {"vehicle": 10.0, "upright": 0.3, "box": 0.3}
 MIN_POINTS = 20  # per object: with fewer, its sides do not show its heading
 _CHUNK = 64  # objects solved together
 _UNKNOWN_CLASS = ClassPrior((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), "box")
@@ -20,6 +24,7 @@ _OUTSIDE = {"vehicle": 0.0, "upright": 0.12, "box": 0.0}  # [m]: and how far out
 _FILL = {"vehicle": 1.0, "upright": 0.5, "box": 1.0}  # a body is slimmer than the reach of its arms and legs
 _STARTS = 4
 _PIXEL_SHARE = 0.5  # of the depth error differs between pixels of an object; the depth factor takes all of it
+_WORTH = 10.0  # independent measurements that the points of an object are worth
 _HANGING = 0.5  # [m] above the ground: an object of an unknown class that ends there does not stand on it
 _MISPLACED = 0.25  # of the distance: points may be this far from where the object's image size puts it
 
@@ -160,6 +165,7 @@ def _problem(evidence: ObjectEvidence) -> box_fit.Problem:
         direction=foreground.direction,
         depth=foreground.depth,
         weight=foreground.weight,
+        worth=np.where(evidence.depth_sigma > UNSURE, [UNSURE_WORTH[p.shape] for p in priors], _WORTH),
         point_sigma=np.stack(sigma, axis=1),
         fill=np.array([_FILL[prior.shape] for prior in priors]),
         xyxy=detections.xyxy.astype(np.float64),

@@ -38,7 +38,8 @@ class BoxLifter:
         lshape: remove the ground, keep the foreground around the likely depth, take the heading from the two
             visible sides and the size from the class, and anchor the box at those sides.
         refine: starting there, one least-squares fit of position, heading, size and a factor on the depth to
-            the points, the 2D box, the ground and the class.
+            the points, the 2D box, the ground and the class. The points of people and small things whose
+            depth is unsure count hardly.
         no_depth: the same fit without depth, from the 2D box, the class and ``camera_height``: the baseline
             that shows what depth adds.
 

@@ -11,6 +11,7 @@ from eldenet.perception.detectors import Detector, merge_cyclists
 from eldenet.perception.kitti_object import KittiLabels, KittiObjects, to_labels
 from eldenet.perception.matching_metrics import pair_up
 from eldenet.simulation.street_views import StreetView, render_street
+from eldenet.uncertainty import DepthEstimate
 
 SIZES = {"street": (256, 832), "crossing": (256, 832), "hall": (240, 320)}
 HEIGHTS = {"street": 1.65, "crossing": 1.65, "hall": 1.0}  # nominal height of the camera above the ground [m]
@@ -28,7 +29,7 @@ class Case:
 
     name: str
     image: np.ndarray
-    depth: np.ndarray
+    depth: np.ndarray | DepthEstimate
     detections: Detections2D
     camera: PinholeCamera
     truth: Boxes3D
@@ -62,7 +63,7 @@ def render(split: str, first: int, count: int, kind: str) -> list[StreetView]:
     return [render_street(split, first + index, SIZES[kind], kind) for index in range(count)]
 
 
-def simulated(views: list[StreetView], depth_of: Callable[[StreetView], np.ndarray]) -> list[Case]:
+def simulated(views: list[StreetView], depth_of: Callable) -> list[Case]:
     """Return cases of objects that are visible to 30 % or more, not cut by the border, and not tiny."""
     cases = []
     for number, view in enumerate(views):

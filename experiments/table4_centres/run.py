@@ -27,7 +27,7 @@ from speed import lifting, stages
 
 import eldenet
 from eldenet.boxes import Boxes3D
-from eldenet.deploy.predictor import DepthPredictor
+from eldenet.deploy.predictor import DepthPredictor, for_camera
 from eldenet.perception.detectors import ROAD_NAMES
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import KittiObjects
@@ -102,8 +102,8 @@ def in_simulation(args: argparse.Namespace, kind: str) -> tuple[list[Setting], l
     model = args.hall_model if kind == "hall" else args.sim_model
     if not model:
         return [exact], notes
-    network = DepthPredictor(eldenet.load(model), steady=False)
-    cases = simulated(views, lambda view: network(view.image))
+    network = predictor_of(model)
+    cases = simulated(views, lambda view: for_camera(network, view.camera.intrinsics)(view.image))
     learned = Setting(
         f"{kind}: ELDE-Net", "simulator", cases, HEIGHTS[kind], (None, None), groups,
         f"{size}, {seen_by(network)}", SEEN,
@@ -120,7 +120,7 @@ def on_kitti(args: argparse.Namespace) -> tuple[list[Setting], list[str]]:
     except FileNotFoundError as error:
         print(f"KITTI is left out: {error}")
         return [], []
-    network = DepthPredictor(eldenet.load(args.kitti_model), steady=False) if args.kitti_model else None
+    network = predictor_of(args.kitti_model) if args.kitti_model else None
     detector = traffic_detector(args.detector) if args.detector else None
     depths = {"KITTI: LiDAR": lambda name, image: kitti.lidar_depth(name, image.shape[:2])}
     notes = []
@@ -139,6 +139,12 @@ def on_kitti(args: argparse.Namespace) -> tuple[list[Setting], list[str]]:
     if network is not None and detector is not None:
         notes += stages(settings[-2], network, detector)
     return settings, notes
+
+
+def predictor_of(model: str) -> DepthPredictor:
+    """Return a network as ``predict`` uses it for boxes: with its sigma, if it has one."""
+    network = eldenet.load(model)
+    return DepthPredictor(network, steady=False, uncertainty=network.distribution is not None)
 
 
 def traffic_detector(path: Path | str) -> OnnxDetector:

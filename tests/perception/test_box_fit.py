@@ -13,8 +13,9 @@ def test_the_gradient_is_the_derivative_of_the_cost():
     count, points = 6, 40
     direction = np.concatenate([rng.uniform(-0.4, 0.4, (count, points, 2)), np.ones((count, points, 1))], -1)
     problem = box_fit.Problem(
-        direction, rng.uniform(8, 14, (count, points)), np.ones((count, points)), np.full((count, 2), 0.4),
-        np.linspace(0.6, 1, count), np.tile([250.0, 80, 330, 140], (count, 1)), np.full((count, 4), 4.0),
+        direction, rng.uniform(8, 14, (count, points)), np.ones((count, points)),
+        np.linspace(0.3, 10, count), np.full((count, 2), 0.4), np.linspace(0.6, 1, count),
+        np.tile([250.0, 80, 330, 140], (count, 1)), np.full((count, 4), 4.0),
         rng.random((count, 4)) > 0.4, np.tile(silhouette("vehicle", "tight"), (count, 1, 1)),
         np.log(np.tile([3.9, 1.6, 1.5], (count, 1))), np.full((count, 3), 0.1),
         np.tile([1.6, 0.01, -0.02], (count, 1)),

@@ -72,6 +72,19 @@ def test_the_depth_of_small_objects_weighs_less_with_small_sigma():
     assert abs(careful.center[0, 2] - 45) < 0.6 * abs(trusting.center[0, 2] - 45)
 
 
+@pytest.mark.parametrize(("sigma", "follows"), [(0.1, True), (0.15, False)])
+def test_the_unsure_depth_of_a_person_is_not_followed(sigma, follows):
+    """Its pixels show the background 40 % farther: only a depth that claims to be sure moves the box."""
+    size = PRIORS["person"].size
+    depth, xyxy = block((0.0, 1.6 - size[2] / 2, 15.0), size=size)
+    rows, columns = np.indices(depth.shape)
+    inside = (rows > xyxy[0, 1]) & (rows < xyxy[0, 3]) & (columns > xyxy[0, 0]) & (columns < xyxy[0, 2])
+    behind = np.where(inside & (np.abs(depth - 15) < 1), depth * 1.4, depth)
+    estimate = DepthEstimate(behind, sigma * behind, "laplace")
+    boxes = BoxLifter(ground=flat_ground(1.6))(estimate, detection(xyxy, "person"), CAMERA)
+    assert (boxes.center[0, 2] > 15.5) == follows
+
+
 def test_the_camera_height_corrects_a_depth_map_of_wrong_scale():
     """Ground and object are both 15 % too far: only the known height shows it."""
     center = (-2.0, 0.85, 12.0)
