@@ -79,7 +79,7 @@ class EpisodeSettings:
         one_of("goal", self.goal, GOALS)
         if not 0 < self.time_limit < math.inf:
             raise ValueError(f"time_limit={self.time_limit}: give a finite number of seconds above 0")
-        for name, low, high in (("size", 0.5, 1.5), ("speed", 0.5, 1.5), ("friction", 0.05, 2.0)):
+        for name, low, high in (("size", 0.5, 1.5), ("speed", 0.5, 2.0), ("friction", 0.05, 2.0)):
             value = getattr(self, f"robot_{name}")
             if not low <= value <= high:
                 raise ValueError(f"robot.{name}={value}: give {low} to {high}")

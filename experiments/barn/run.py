@@ -52,8 +52,8 @@ VERSIONS = {
     "dqn_ensemble": str(EPISODE_VERSION),
     "astar_dwa": f"{EPISODE_VERSION}.{DWA_VERSION}.{CARROT}",
 }
-LABELS = ("method", "size", "view", "version")
-Rows = dict[tuple[str, str, str], list[Episode]]
+LABELS = ("method", "size", "view", "speed", "version")
+Rows = dict[tuple[str, str, str, str], list[Episode]]
 
 
 def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
@@ -64,14 +64,17 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--sizes", default="0.85,1.0", help="of the robot; 0.85 is about a Jackal's")
     parser.add_argument("--views", default="69.4,270", help="of the sensor [degrees]; 270 is the benchmark's")
+    parser.add_argument("--speeds", default="1", help="greatest of the robot [m/s]; 2 is the benchmark's")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
     worlds = read_barn(args.worlds_file)
     rows = read(folder / "drives.csv.gz")
-    wanted = product(*(given.split(",") for given in (args.views, args.sizes, args.methods)))
-    for view, size, method in wanted:
-        done = rows.setdefault((method, size, view), [])
-        settings = EpisodeSettings("wheels", time_limit=TIME_LIMIT, robot_size=float(size))
+    lists = args.speeds, args.views, args.sizes, args.methods
+    for speed, view, size, method in product(*(given.split(",") for given in lists)):
+        done = rows.setdefault((method, size, view, speed), [])
+        settings = EpisodeSettings(
+            "wheels", time_limit=TIME_LIMIT, robot_size=float(size), robot_speed=float(speed)
+        )
         order = sorted(range(len(worlds)), key=lambda number: (number % EVERY, number))[: args.worlds]
         missing = [number for number in order if number not in {number_of(drive) for drive in done}]
         for first in range(0, len(missing), PART):
@@ -81,15 +84,15 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
             done += run_episodes(arenas, METHODS[method], sensor, settings, robots=PART)
             done.sort(key=number_of)
             write(folder, rows, worlds)
-            print(line(method, size, view, done, worlds), flush=True)
+            print(line((method, size, view, speed), done, worlds), flush=True)
     write(folder, rows, worlds)
 
 
 def read(file: Path) -> Rows:
     """Return the stored drives of today's versions."""
     return {
-        (method, size, view): drives
-        for (method, size, view, version), drives in read_episodes(file, LABELS).items()
+        (method, size, view, speed): drives
+        for (method, size, view, speed, version), drives in read_episodes(file, LABELS).items()
         if version == VERSIONS.get(method)
     }
 
@@ -99,8 +102,8 @@ def number_of(drive: Episode) -> int:
     return int(drive.world.rpartition("-")[2])
 
 
-def line(method: str, size: str, view: str, drives: Sequence[Episode], worlds: Sequence[BarnWorld]) -> str:
-    """Return a line of the table."""
+def line(key: tuple[str, ...], drives: Sequence[Episode], worlds: Sequence[BarnWorld]) -> str:
+    """Return a line of the table: method, size, view, speed and what its drives reached."""
     s = summarize(drives)
     times = {number_of(drive): drive.seconds if drive.outcome == "success" else None for drive in drives}
     now, before = (
@@ -110,7 +113,7 @@ def line(method: str, size: str, view: str, drives: Sequence[Episode], worlds: S
     success = sum(drive.outcome == "success" for drive in drives)
     cells = [f"{success} of {len(drives)}", f"{s['success_low']:.1f} to {s['success_high']:.1f}"]
     cells += [f"{s['collision']:.1f}", f"{s['timeout']:.1f}", f"{s['seconds']:.1f}"]
-    return f"| `{method}` | {size} | {view} | {' | '.join([*cells, f'{now:.3f}', f'{before:.3f}'])} |"
+    return f"| {' | '.join([f'`{key[0]}`', *key[1:], *cells, f'{now:.3f}', f'{before:.3f}'])} |"
 
 
 def write(folder: Path, rows: Rows, worlds: Sequence[BarnWorld]) -> None:
@@ -123,10 +126,10 @@ def write(folder: Path, rows: Rows, worlds: Sequence[BarnWorld]) -> None:
         "",
         f"True ranges, wheels, goal known; {environment()['date']}.",
         "",
-        "| method | robot size | view [degrees] | arrived | 95 % [%] | collisions [%] | time-outs [%] |"
-        " time [s] | score (2 times) | score (4 times) |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-        *(line(*key, drives, worlds) for key, drives in rows.items()),
+        "| method | robot size | view [degrees] | speed [m/s] | arrived | 95 % [%] | collisions [%] |"
+        " time-outs [%] | time [s] | score (2 times) | score (4 times) |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        *(line(key, drives, worlds) for key, drives in rows.items()),
         "",
         "Made by `python experiments/barn/run.py`.",
     ]
