@@ -61,7 +61,7 @@ HIDDEN: dict[str, set[str]] = {
     "eldenet.perception.lifter.BoxLifter": {"priors"},  # a table of class sizes, given from Python
     # workers depend on the machine; rendered frames are never missing and need no cache
     "eldenet.data.rooms.Rooms": {"workers", "cache", "on_error", "resize_on_load"},
-    # one lens; near is of rooms
+    # one lens; near and down are of rooms
     "eldenet.data.arenas.Arenas": {"workers", "cache", "on_error", "resize_on_load", "focal", "near", "down"},
     "eldenet.data.streets.Streets": {"workers", "cache", "on_error", "resize_on_load", "near", "down"},
     "eldenet.losses.": {"applies_to"},  # "metric" but in losses for data=mix
