@@ -1,5 +1,6 @@
 """Frames of a room: choose cameras, cast, shade, develop."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import cv2
@@ -12,6 +13,7 @@ from eldenet.simulation.rendering.camera_noise import develop, develop_photo
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.rendering.shading import CompiledRoom
 
+Pose = tuple[np.ndarray, np.ndarray]  # position (3,) [m] and rotation (3, 3)
 KINECT = (0.76, 0.88)  # fx [widths]: about 63 degrees
 
 
@@ -63,7 +65,7 @@ def render_room(
     for view in range(views):
         camera = RayCamera(size, draw_intrinsics(draw, size, focal))
         kind = draw.uniform(0, 1) if near or down else 1.0
-        choose = choose_near_pose if kind < near else choose_pose_down if kind < near + down else choose_pose
+        choose = choose_pose_near if kind < near else choose_pose_down if kind < near + down else choose_pose
         position, rotation = choose(room, camera, draw, by_hand=detail)
         linear, hits = room.photograph(camera, position, rotation)
         seed = (SPLITS[split], index, 2, view)
@@ -91,9 +93,19 @@ def _handful_of_rays(camera: RayCamera) -> RayCamera:
     return RayCamera(probe_size, scale @ camera.intrinsics)
 
 
-def choose_pose(
-    room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
+def _best_of(count: int, candidate: Callable[[], tuple[float, Pose] | None]) -> Pose | None:
+    """Draw up to ``count`` poses and how much they miss; return the first without a miss, else the best."""
+    best: tuple[float, Pose] | None = None
+    for _ in range(count):
+        drawn = candidate()
+        if drawn is not None and (best is None or drawn[0] < best[0]):
+            best = drawn
+        if best is not None and best[0] == 0.0:
+            break
+    return None if best is None else best[1]
+
+
+def choose_pose(room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False) -> Pose:
     """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera on a robot or in a hand.
 
     A robot's is 0.25 to 1.0 m above the floor, a hand's 1.2 to 1.8 m. A robot has three of ten frames, and
@@ -107,8 +119,8 @@ def choose_pose(
     nearest = draw.uniform(0.4, 1.0)
     wanted = draw.uniform(0.7, 3.2)
     geoms_wanted = draw.integer(3, 14)  # in view: few frames show a bare wall
-    best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for _ in range(12):
+
+    def candidate() -> tuple[float, Pose] | None:
         z = (
             draw.uniform(0.25, 1.0)
             if draw.chance(0.1 if by_hand else 0.3)
@@ -128,25 +140,22 @@ def choose_pose(
             x0 - 0.2 < x < x1 + 0.2 and y0 - 0.2 < y < y1 + 0.2 and z < top + 0.2
             for x0, y0, x1, y1, top in room.room.obstacles
         ):
-            continue
+            return None
         position, rotation = np.array([x, y, z]), camera_rotation(yaw, pitch, roll)
         depth, geoms = probe.probe(room.model, room.data, position, rotation)
         low, middle = np.partition(depth, (4, len(depth) // 2))[[4, len(depth) // 2]]
         miss = max(0.0, nearest - float(low)) + max(0.0, wanted - float(middle))
         miss += max(0.0, float(middle) - 7.0)
         miss += 0.15 * max(0, geoms_wanted - len(np.unique(geoms)))
-        if best is None or miss < best[0]:
-            best = (miss, position, rotation)
-        if miss == 0.0:
-            break
-    if best is None:  # every candidate stood in furniture: look down from the middle of the room
+        return miss, (position, rotation)
+
+    chosen = _best_of(12, candidate)
+    if chosen is None:  # every candidate stood in furniture: look down from the middle of the room
         return np.array([0.0, 0.0, min(1.7, h - 0.2)]), camera_rotation(draw.uniform(-np.pi, np.pi), -0.3)
-    return best[1], best[2]
+    return chosen
 
 
-def choose_near_pose(
-    room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
+def choose_pose_near(room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False) -> Pose:
     """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera close to things or a wall.
 
     Of 20 candidates, the one whose median depth is closest to a drawn one of 0.3 to 1.2 m is taken; no pixel
@@ -157,8 +166,8 @@ def choose_near_pose(
     sx, sy, h = room.room.size
     wanted = draw.uniform(0.3, 1.2)
     geoms_wanted = draw.integer(3, 10)
-    best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for _ in range(20):
+
+    def candidate() -> tuple[float, Pose]:
         z = draw.uniform(0.15, min(1.8, h - 0.2) if by_hand else 1.0)
         x, y = draw.uniform(-0.5, 0.5) * (sx - 0.3), draw.uniform(-0.5, 0.5) * (sy - 0.3)
         yaw, roll = draw.uniform(-np.pi, np.pi), draw.uniform(-0.1, 0.1)
@@ -167,15 +176,14 @@ def choose_near_pose(
         depth, geoms = probe.probe(room.model, room.data, position, rotation)
         miss = abs(float(np.log(np.median(depth) / wanted))) + 10 * float(depth.min() < 0.15)
         miss += 0.15 * max(0, geoms_wanted - len(np.unique(geoms)))
-        if best is None or miss < best[0]:
-            best = (miss, position, rotation)
-    assert best is not None
-    return best[1], best[2]
+        return miss, (position, rotation)
+
+    chosen = _best_of(20, candidate)
+    assert chosen is not None
+    return chosen
 
 
-def choose_pose_down(
-    room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
+def choose_pose_down(room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False) -> Pose:
     """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera that looks down at the floor.
 
     It is 0.3 to 1.8 m above the floor (1.0 m without ``by_hand``) and looks 17 to 60 degrees below the
@@ -184,8 +192,8 @@ def choose_pose_down(
     """
     probe = _handful_of_rays(camera)
     sx, sy, h = room.room.size
-    best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for _ in range(20):
+
+    def candidate() -> tuple[float, Pose]:
         z = draw.uniform(0.3, min(1.8, h - 0.2) if by_hand else 1.0)
         x, y = draw.uniform(-0.5, 0.5) * (sx - 0.5), draw.uniform(-0.5, 0.5) * (sy - 0.5)
         yaw = float(np.arctan2(-y, -x)) + draw.uniform(-1.0, 1.0)  # across the room
@@ -194,9 +202,8 @@ def choose_pose_down(
         depth, geoms = probe.probe(room.model, room.data, position, rotation)
         floor = 0.8 * z / np.sin(-pitch)
         miss = max(0.0, floor - float(np.median(depth))) + 0.15 * max(0, 3 - len(np.unique(geoms)))
-        if best is None or miss < best[0]:
-            best = (miss, position, rotation)
-        if miss == 0.0:
-            break
-    assert best is not None
-    return best[1], best[2]
+        return miss, (position, rotation)
+
+    chosen = _best_of(20, candidate)
+    assert chosen is not None
+    return chosen
