@@ -62,8 +62,25 @@ HIDDEN: dict[str, set[str]] = {
     # workers depend on the machine; rendered frames are never missing and need no cache
     "eldenet.data.rooms.Rooms": {"workers", "cache", "on_error", "resize_on_load"},
     # one lens; near and down are of rooms
-    "eldenet.data.arenas.Arenas": {"workers", "cache", "on_error", "resize_on_load", "focal", "near", "down"},
-    "eldenet.data.streets.Streets": {"workers", "cache", "on_error", "resize_on_load", "near", "down"},
+    "eldenet.data.arenas.Arenas": {
+        "workers",
+        "cache",
+        "on_error",
+        "resize_on_load",
+        "focal",
+        "near",
+        "down",
+        "plain",
+    },
+    "eldenet.data.streets.Streets": {
+        "workers",
+        "cache",
+        "on_error",
+        "resize_on_load",
+        "near",
+        "down",
+        "plain",
+    },
     "eldenet.losses.": {"applies_to"},  # "metric" but in losses for data=mix
     # options of the sources, which each source states itself
     "eldenet.data.mix.Mix": {"min_depth", "max_depth", "cache", "on_error", "resize_on_load"},

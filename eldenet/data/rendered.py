@@ -39,6 +39,7 @@ class RenderedScenes(DepthDataset):
         detail: frames of ``detailed``: closer to real pictures.
         near: of rooms: share of frames of what is close, half of their pixels within 0.3 to 1.2 m.
         down: of rooms: share of frames that look down at the floor and what stands on it.
+        plain: of rooms: share of rooms whose surfaces have no pattern.
         depth_camera: depth as a stereo depth camera measures it, with holes at edges, a dead column and noise
             (:class:`~eldenet.simulation.depth_camera.StereoArtifacts`); the same in every epoch.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
@@ -75,6 +76,7 @@ class RenderedScenes(DepthDataset):
         detail: bool = False,
         near: float = 0.0,
         down: float = 0.0,
+        plain: float = 0.0,
         depth_camera: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
@@ -83,14 +85,14 @@ class RenderedScenes(DepthDataset):
             self.artifacts = import_module("eldenet.simulation.depth_camera").StereoArtifacts()
         if focal is not None and not self.any_lens:
             raise ValueError(f"focal={list(focal)}: the camera of {self.generator.name} has one lens")
-        if (near or down) and self.generator.name != "rooms":
-            raise ValueError(f"near={near}, down={down}: {self.generator.name} has no such frames; rooms has")
-        if not (0 <= near <= 1 and 0 <= down <= 1 and near + down <= 1):
-            raise ValueError(
-                f"near={near}, down={down}: give shares of the frames, 0 to 1 and at most 1 together"
-            )
+        shares = {"near": float(near), "down": float(down), "plain": float(plain)}
+        given = ", ".join(f"{name}={share:g}" for name, share in shares.items() if share)
+        if given and self.generator.name != "rooms":
+            raise ValueError(f"{given}: {self.generator.name} has no such frames; rooms has")
+        if not (min(shares.values()) >= 0 and near + down <= 1 and plain <= 1):
+            raise ValueError(f"{given}: give shares, 0 to 1, of near and down at most 1 together")
         chosen = self.detailed if detail else self.generator
-        self.generator = chosen.with_focal(focal)._replace(near=float(near), down=float(down))
+        self.generator = chosen.with_focal(focal)._replace(**shares)
         size = self.default_size if size is None else size
         one_of("split", split, SPLITS)
         if len(size) != 2 or min(size) < 16 or max(size) > 2048:

@@ -22,6 +22,8 @@ from eldenet.types import Frame
 DEPTH_STEP = 0.0002
 #: Frames of each scene.
 VIEWS = 8
+#: What a rendered data set may show more of: shares of its frames or rooms.
+SHARES = ("near", "down", "plain")
 FULL_DISK = 28  # exit code of a worker, as ENOSPC
 
 
@@ -43,6 +45,7 @@ class Generator(NamedTuple):
         detail: passed on to the renderer where it is true.
         near: share of frames of what is close; the same.
         down: share of frames that look down; the same.
+        plain: share of rooms without patterns; the same.
     """
 
     name: str
@@ -54,6 +57,7 @@ class Generator(NamedTuple):
     detail: bool = False
     near: float = 0.0
     down: float = 0.0
+    plain: float = 0.0
 
     @property
     def farthest(self) -> int:
@@ -77,7 +81,7 @@ class Generator(NamedTuple):
         name = (
             self.name
             + "-detail" * self.detail
-            + "".join(f"-{name}{share:g}" for name in ("near", "down") if (share := getattr(self, name)))
+            + "".join(f"-{name}{share:g}" for name in SHARES if (share := getattr(self, name)))
         )
         if self.focal is not None:
             low, high = self.focal
@@ -124,7 +128,7 @@ class SceneStore:
     def _render(self, generator: Generator, scene: int) -> None:
         module, _, function = generator.renderer.rpartition(".")
         options: dict[str, object] = {} if generator.focal is None else {"focal": generator.focal}
-        options |= {name: value for name in ("detail", "near", "down") if (value := getattr(generator, name))}
+        options |= {name: value for name in ("detail", *SHARES) if (value := getattr(generator, name))}
         views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS, **options)
         step = generator.depth_step
         meters = encode_depth(views.depth, step).astype(np.float32) * np.float32(step)

@@ -14,6 +14,7 @@ class Rooms(RenderedScenes):
             things touch.
         near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
         down: share of frames that look down at the floor and what stands on it.
+        plain: share of rooms whose surfaces have no pattern.
         **options: see :class:`~eldenet.data.rendered.RenderedScenes`.
     """
 

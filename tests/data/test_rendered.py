@@ -15,6 +15,9 @@ from eldenet.data.rendering import DEPTH_STEP, SceneStore, encode_depth, render_
 from eldenet.data.rooms import Rooms
 from eldenet.data.streets import Streets
 from eldenet.simulation.furnished_rooms.render import render_room
+from eldenet.simulation.rendering.materials import Materials
+from eldenet.simulation.rendering.mjcf import Draw
+from eldenet.simulation.rendering.textures import variants
 
 SIZE = (32, 40)
 
@@ -100,11 +103,25 @@ def test_near_rooms_show_what_is_close(tmp_path: Path) -> None:
     medians = [float(np.median(some.load_frame(index).depth)) for index in range(32)]
     assert 2 <= sum(median < 1.3 for median in medians) <= 16
     with pytest.raises(
-        ValueError, match=r"near=0\.6, down=0\.6: give shares of the frames, 0 to 1 and at most 1 together"
+        ValueError, match=r"near=0\.6, down=0\.6: give shares, 0 to 1, of near and down at most 1 together"
     ):
         Rooms("train", 8, size=SIZE, root=tmp_path, near=0.6, down=0.6)
-    with pytest.raises(ValueError, match=r"near=1, down=0\.0: streets has no such frames; rooms has"):
+    with pytest.raises(ValueError, match="near=1: streets has no such frames; rooms has"):
         Streets("train", 8, root=tmp_path, near=1)
+
+
+def test_plain_rooms_have_the_same_depth_and_no_patterns(tmp_path: Path) -> None:
+    rooms, plain = (render_room("train", 4, SIZE, detail=True, plain=share) for share in (0.0, 1.0))
+    np.testing.assert_array_equal(rooms.depth, plain.depth)
+    assert (rooms.image != plain.image).any(axis=-1).mean() > 0.5
+    for seed in range(8):
+        materials = Materials(Draw((seed,)), natural=True, plain=True)
+        surfaces = [materials.floor, *materials.walls, *materials.woods, *materials.fabrics]
+        assert {materials.palette.rows[number][9] for number in surfaces} <= set(variants("plain"))
+    half = Rooms("train", 8, size=SIZE, root=tmp_path, workers=0, plain=0.5)
+    assert half.folder.name.startswith("rooms-plain0.5-v1")
+    with pytest.raises(ValueError, match="plain=2: give shares, 0 to 1, of near and down at most 1 together"):
+        Rooms("train", 8, size=SIZE, root=tmp_path, plain=2)
 
 
 def test_rooms_that_look_down_show_the_floor(tmp_path: Path) -> None:

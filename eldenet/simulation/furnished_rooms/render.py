@@ -45,6 +45,7 @@ def render_room(
     detail: bool = False,
     near: float = 0.0,
     down: float = 0.0,
+    plain: float = 0.0,
 ) -> Views:
     """Render the frames of room ``index`` of a split at ``(height, width)`` [px].
 
@@ -57,9 +58,10 @@ def render_room(
         detail: rooms as people photograph them: natural colors, more things, light that bounces.
         near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
         down: share of frames that look down at the floor and what stands on it.
+        plain: share of rooms whose surfaces have no pattern.
     """
     cv2.setNumThreads(0)
-    room = CompiledRoom(generate_room(split, index, detail))
+    room = CompiledRoom(generate_room(split, index, detail, plain))
     draw = Draw((SPLITS[split], index, 1))
     frames = []
     for view in range(views):

@@ -2,8 +2,8 @@
 
 A room depends on ``(split, index)`` alone and is the same on every machine (:class:`~.rendering.mjcf.Draw`,
 four decimals). Seeds are ``(SPLITS[split], index, 0)`` for a room, ``(..., 1)`` for its cameras,
-``(..., 2, view)`` for a frame's noise and ``(..., 7)`` for what ``detail`` adds; the splits share none, so no
-room is in two of them.
+``(..., 2, view)`` for a frame's noise, ``(..., 7)`` for what ``detail`` adds and ``(..., 8)`` for which rooms
+are plain; the splits share none, so no room is in two of them.
 """
 
 from eldenet.simulation.furnished_rooms import furniture, household
@@ -18,16 +18,18 @@ from eldenet.simulation.rendering.shading import Room
 SPLITS = {"train": 0, "val": 1, "test": 2}
 
 
-def generate_room(split: str, index: int, detail: bool = False) -> Room:
+def generate_room(split: str, index: int, detail: bool = False, plain: float = 0.0) -> Room:
     """Generate room ``index`` of a split.
 
     Args:
         split: "train", "val" or "test".
         index: of the room, from 0.
         detail: natural colors, more things, light that bounces.
+        plain: the chance that the room's surfaces have no pattern.
     """
     draw = Draw((SPLITS[split], index, 0))
-    return _Builder(draw, Draw((SPLITS[split], index, 7)) if detail else None).build()
+    details = Draw((SPLITS[split], index, 7)) if detail else None
+    return _Builder(draw, details, Draw((SPLITS[split], index, 8)).chance(plain)).build()
 
 
 class _Builder:
@@ -36,14 +38,14 @@ class _Builder:
     ``details`` are the draws of what ``detail`` adds; None: nothing.
     """
 
-    def __init__(self, draw: Draw, details: Draw | None) -> None:
+    def __init__(self, draw: Draw, details: Draw | None, plain: bool) -> None:
         d = self.d = draw
         name = d.pick([kind for kind, spec in KINDS.items() for _ in range(spec.share)])
         self.kind: Kind = KINDS[name]
         size = (d.uniform(*self.kind.side), d.uniform(*self.kind.side), d.uniform(*self.kind.height))
         self.room = Room(name, size)
         self.details = details
-        self.m = Materials(d, natural=details is not None)
+        self.m = Materials(d, natural=details is not None, plain=plain)
         self.shell = Body()
         self.bodies: list[Body] = []
         self.walls: list[Wall] = []

@@ -14,6 +14,11 @@ WOODS: tuple[Color, ...] = (
     (0.20, 0.12, 0.08), (0.48, 0.30, 0.20), (0.60, 0.42, 0.22), (0.35, 0.30, 0.26),
 )  # fmt: skip
 WHITE = WALLS[-1]
+#: Patterns of walls, floors, furniture and cloths.
+SURFACES = (
+    "plaster", "planks", "grain", "tiles", "bricks", "carpet", "speckle", "stripes", "plaid", "blobs",
+    "crumple", "tufted", "fronts",
+)  # fmt: skip
 SKINS: tuple[Color, ...] = ((0.80, 0.60, 0.48), (0.66, 0.45, 0.33), (0.45, 0.29, 0.20), (0.30, 0.19, 0.13))
 
 
@@ -50,10 +55,11 @@ class Materials:
     Args:
         draw: of the room.
         natural: colors and patterns as most homes and offices have them; without it, any color.
+        plain: walls, floor, furniture and cloths without a pattern; small things keep theirs.
     """
 
-    def __init__(self, draw: Draw, natural: bool = False) -> None:
-        self.draw, self.palette, self.natural = draw, Palette(), natural
+    def __init__(self, draw: Draw, natural: bool = False, plain: bool = False) -> None:
+        self.draw, self.palette, self.natural, self.plain = draw, Palette(), natural, plain
         self.wood_colors = [jitter(draw, draw.pick(WOODS)) for _ in range(3)]
         self.walls = [self._wall() for _ in range(2)]
         self.floor = self._floor()
@@ -103,6 +109,8 @@ class Materials:
     def _add3(
         self, colors: tuple[Color, ...], family: str, period: float, gloss: float = 0.0, emission: float = 0.0
     ) -> int:
+        if self.plain and family in SURFACES:
+            colors, family = colors[:1], "plain"
         pattern = self.draw.pick(variants(family))
         offset = self.draw.unit()
         return self.palette.add(colors, pattern, period, gloss=gloss, emission=emission, offset=offset)
