@@ -1,4 +1,4 @@
-"""``python -m eldenet.predict``: depth of a picture, a folder of pictures, a video, or a camera.
+"""``python -m eldenet.predict``: depth of a picture, a folder of pictures, a video, a bag of ROS, or a camera.
 
 python -m eldenet.predict source=photo.jpg
 python -m eldenet.predict checkpoint=runs/my-run source=photo.jpg
@@ -20,6 +20,7 @@ import eldenet
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.compose import REQUIRED, listed
 from eldenet.configurable import instantiate
+from eldenet.data.bags import is_bag
 from eldenet.geometry import focal_length, intrinsic_matrix
 from eldenet.system.checks import check_size, one_of
 from eldenet.system.extras import require
@@ -45,10 +46,11 @@ class PredictSettings:
     # a run folder, a model folder, a Hub id, or an exported file (.onnx, .xml); null: the package's best
     # weights for indoor pictures
     checkpoint: str | None = None
-    # a picture, a folder of pictures (with subfolders, without hidden ones), a video, a camera (camera:0,
-    # /dev/video0, /dev/v4l/by-id/...) or an address (rtsp://...); cameras and addresses drop frames that come
-    # in too fast
+    # a picture, a folder of pictures (with subfolders, without hidden ones), a video, a bag of ROS, a camera
+    # (camera:0, /dev/video0, /dev/v4l/by-id/...) or an address (rtsp://...); cameras and addresses drop
+    # frames that come in too fast
     source: str = REQUIRED
+    topic: str | None = None  # of a bag's pictures; null: the only one with colors
     # torch, torch_channels_last, torch_compile, onnxruntime, openvino; auto: torch for a model, the fastest
     # installed runtime for a file
     engine: str = "auto"
@@ -63,7 +65,7 @@ class PredictSettings:
     # depth], and color is pale where the network is unsure
     formats: Any = None
     # [fx, fy, cx, cy] of the source's pictures [px]: for meters, point clouds and boxes; null: for KITTI's
-    # image_2/000001.png, those of calib/000001.txt
+    # image_2/000001.png, those of calib/000001.txt, and for a bag those of its CameraInfo
     intrinsics: Any = None
     focal: float | None = None  # alternative: fx of the source's pictures [px]
     # or their horizontal field of view [degrees]; with focal or fov, the principal point is the picture's
@@ -135,7 +137,11 @@ def predict(s: PredictSettings) -> "Results":
     find_checkpoint(str(s.checkpoint), "checkpoint")
     one_of("engine", s.engine, ("auto", *runtimes.RUNTIMES))
     runtimes.check_installed(str(s.checkpoint), s.engine)
-    source = find_source(s.source, Path(s.output).expanduser(), s.frames)
+    source = find_source(s.source, Path(s.output).expanduser(), s.frames, s.topic, s.intrinsics)
+    if source.bag is not None:
+        if s.focal or s.fov:
+            raise ValueError(f"{s.lenses[0]}: the CameraInfo of a bag says the lens; intrinsics= replaces it")
+        s = replace(s, intrinsics=source.bag.intrinsics)
     results = open_results(s, source)
     recording = results.folder / "predict.rrd" if s.viewer is not None else None
     perception = open_perception(s, source) if s.boxes else None
@@ -167,7 +173,14 @@ def predict(s: PredictSettings) -> "Results":
         if source.is_video:
             ((path, name),) = source.names.items()
             broken = predict_video(
-                path, name, predictor, results, log, stop, frames=s.frames, timeout=s.camera_timeout
+                source.bag or path,
+                name,
+                predictor,
+                results,
+                log,
+                stop,
+                frames=s.frames,
+                timeout=s.camera_timeout,
             )
         else:
             skip = s.on_error == "skip"
@@ -312,7 +325,9 @@ def open_predictor(
 
 @entry_point(PredictSettings)
 def main(s: PredictSettings) -> None:
-    """Refuse settings of boxes without ``boxes=true``, then predict."""
+    """Refuse settings that nothing reads, then predict."""
+    if not is_bag(Path(s.source).expanduser()):
+        refuse_unread(("topic",), "only a bag of ROS as source= has topics")
     if not s.boxes:
         refuse_unread(("perception",), "only boxes=true makes 3D boxes")
     try:

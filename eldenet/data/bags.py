@@ -40,6 +40,7 @@ class Bag:
 
     Attributes:
         intrinsics: fx, fy, cx, cy of the pictures of :meth:`frames` [px].
+        pictures: how many there are.
 
     Raises:
         FileNotFoundError: there is no such bag.
@@ -53,11 +54,13 @@ class Bag:
         self.path = path
         with self._open() as bag:
             self._kinds = {each.topic: each.msgtype for each in bag.connections}
+            counts = {each.topic: each.msgcount for each in bag.connections}
         pictures = self._topics(IMAGE, COMPRESSED)
         if topic is None and len(pictures) > 1:
             pictures = [each for each in pictures if self._has_colors(each)] or pictures
             pictures = [each for each in pictures if _raw(each) == each or _raw(each) not in pictures]
         self._pictures = self._chosen("pictures", pictures, topic, "topic")
+        self.pictures = counts[self._pictures]
         self._straighten: Callable[[np.ndarray], np.ndarray] = lambda picture: picture
         matrix = self._read_lens() if intrinsics is None else intrinsic_matrix(intrinsics)
         self.intrinsics = [float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]

@@ -1,4 +1,4 @@
-"""Depth of a picture, a folder of pictures, a video or a camera, written to files."""
+"""Depth of a picture, a folder of pictures, a video, a bag of ROS or a camera, written to files."""
 
 import re
 import time
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldenet.data.bags import Bag, is_bag
 from eldenet.deploy.lens import Lens
 from eldenet.deploy.outputs import Results, name_results
 from eldenet.deploy.stream import DepthStream, is_live
@@ -37,11 +38,13 @@ class Source:
         names: picture -> name of its results; a video or camera is one entry.
         is_video: whether it is a video or a camera.
         is_live: whether it is a camera or an address.
+        bag: the bag of ROS that the video is, if it is one.
     """
 
     names: dict[Path | str, str]
     is_video: bool
     is_live: bool
+    bag: Bag | None = None
 
 
 class Timed:
@@ -69,18 +72,27 @@ class Timed:
         return depth
 
 
-def find_source(given: str, output: Path, frames: int | None) -> Source:
+def find_source(
+    given: str, output: Path, frames: int | None, topic: str | None = None, intrinsics: Any = None
+) -> Source:
     """Find the pictures or the video that ``source`` names; ``frames`` limits the pictures.
+
+    ``topic`` and ``intrinsics`` are those of :class:`~eldenet.data.bags.Bag`.
 
     Raises:
         FileNotFoundError: there is no such source.
-        ValueError: a file is neither picture nor video, or a folder holds no pictures.
+        ValueError: a file is neither picture nor video, or a folder or bag gives no pictures.
     """
     if is_live(given):
         require(f"source={without_password(given)}", "av")
         name = re.sub(r"\W+", "_", without_password(given)).strip("_")
         return Source({given: name}, is_video=True, is_live=True)
     path = Path(given).expanduser()
+    if is_bag(path):
+        require(f"source={given}", "av")
+        bag = Bag(path, topic, intrinsics)
+        name = path.name if path.is_dir() else path.stem
+        return Source({path: name}, is_video=True, is_live=False, bag=bag)
     if path.is_file() and is_video_file(path):
         require(f"source={given}", "av")
         return Source({path: path.stem}, is_video=True, is_live=False)
@@ -135,7 +147,7 @@ def predict_pictures(
 
 
 def predict_video(
-    source: Path | str,
+    source: Path | str | Bag,
     name: str,
     predictor: Timed,
     results: Results,
@@ -145,7 +157,7 @@ def predict_video(
     frames: int | None = None,
     timeout: float | None = 10.0,
 ) -> str:
-    """Predict the frames of a video, or as many of a camera's as there is time for.
+    """Predict the frames of a video or a bag, or as many of a camera's as there is time for.
 
     Color becomes one .mp4 that shows each frame as long as it lasted; other formats are one file per frame. A
     camera runs until ``frames``, Ctrl-C, or ``timeout`` [s] without a new frame.
@@ -156,7 +168,7 @@ def predict_video(
     Raises:
         ValueError: there was no frame.
     """
-    shown = without_password(str(source))
+    shown = str(source.path) if isinstance(source, Bag) else without_password(str(source))
     per_frame = [kind for kind in results.formats if kind != "color"]
     span = results.depth_range
     with DepthStream(source, predictor, timeout=timeout) as stream:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
+from eldenet.data.bags import Bag
 from eldenet.system.escaping import without_password
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class DepthStream:
 
     Args:
         source: a video file, "camera:0" (number of a camera) or "/dev/video0", an address ("rtsp://..."), or
-            any iterable of frames ``(H, W, 3)`` uint8 RGB.
+            a bag of ROS, or any iterable of frames ``(H, W, 3)`` uint8 RGB.
         predictor: frame -> depth ``(H, W)`` [m], such as :class:`~eldenet.deploy.predictor.DepthPredictor`.
         queue_size: frames that may wait; with ``drop``, a new frame replaces the oldest.
         drop: whether to drop frames that wait too long; None: only those of cameras and addresses.
@@ -74,7 +75,7 @@ class DepthStream:
 
     def __init__(
         self,
-        source: str | Path | Iterable[np.ndarray],
+        source: str | Path | Bag | Iterable[np.ndarray],
         predictor: Callable[..., np.ndarray],
         *,
         queue_size: int = 2,
@@ -94,6 +95,9 @@ class DepthStream:
             frames = self._open_live(str(source), timeout)
         elif isinstance(source, str | Path):
             frames = self._open_file(str(source))
+        elif isinstance(source, Bag):
+            self.announced = source.pictures
+            frames = _of_bag(source, self.frames_per_second)
         else:
             self._by_clock = self.drop
             frames = _timed(source, self.frames_per_second)
@@ -238,6 +242,15 @@ def _opened(camera: int | str, timeout: float | None) -> "cv2.VideoCapture | Non
         return answer.get(timeout=timeout)
     except queue.Empty:
         return None
+
+
+def _of_bag(bag: Bag, rate: float) -> Generator[TimedFrame, None, None]:
+    from eldenet.deploy.video_files import JoinedTime
+
+    clock, start = JoinedTime(1 / rate), None
+    for frame, stated in bag.frames():
+        start = stated if start is None else start
+        yield frame, clock(stated - start)
 
 
 def _timed(source: Iterable[np.ndarray], rate: float) -> Generator[TimedFrame, None, None]:

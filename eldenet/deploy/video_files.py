@@ -129,16 +129,12 @@ class VideoFile:
     def frames(self) -> Generator[tuple[np.ndarray, float], None, None]:
         """Yield each frame ``(H, W, 3)`` uint8 RGB and its time [s], the first at 0."""
         start = float((self._stream.start_time or 0) * (self._stream.time_base or 0))
-        usual, previous, skipped = 1 / self.frames_per_second, -1.0, 0.0
+        usual = 1 / self.frames_per_second
+        clock = JoinedTime(usual)
         for frame in self._decoded():
-            stated = previous + usual if frame.time is None else frame.time - start
+            stated = clock.latest + usual if frame.time is None else frame.time - start
             self._end = max(self._end, stated + usual)
-            time = stated - skipped
-            # where recordings were joined, the stated time leaps or goes back
-            if previous >= 0 and not previous < time <= previous + LONGEST_STILL:
-                skipped += max(0.0, time - previous - usual)
-                time = previous + usual
-            previous = time
+            time = clock(stated)
             width = self._width if frame.width == self._stream.width else frame.width
             picture = frame.to_ndarray(width=width, format="rgb24", interpolation="BICUBIC")
             yield np.ascontiguousarray(_upright(picture, frame)), time
@@ -174,6 +170,26 @@ class VideoFile:
         if frames >= self.announced or not (ends_early or (self._broken and frames < self._stated)):
             return ""
         return f"is truncated or damaged: {frames} of {self.announced} frames could be read"
+
+
+class JoinedTime:
+    """Stated times of frames [s] -> times without the leaps where recordings were joined or a clock was set.
+
+    Args:
+        usual: time from a frame to the next [s].
+    """
+
+    def __init__(self, usual: float) -> None:
+        self.usual, self.latest, self._skipped = usual, -1.0, 0.0
+
+    def __call__(self, stated: float) -> float:
+        """Return the time of the next frame; the first is as stated."""
+        time = stated - self._skipped
+        if self.latest >= 0 and not self.latest < time <= self.latest + LONGEST_STILL:
+            self._skipped += max(0.0, time - self.latest - self.usual)
+            time = self.latest + self.usual
+        self.latest = time
+        return time
 
 
 def _pixel_aspect(stream: "av.VideoStream") -> Fraction:

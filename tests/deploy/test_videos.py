@@ -10,14 +10,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support import bags
 from support.films import read_video, write_video
-from support.predicting import exported, listed, photo, run
+from support.predicting import exported, listed, photo, run, save
 
 from eldenet.deploy import runtimes
 from eldenet.deploy.outputs import to_millimeters
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.stream import DepthStream, StreamFrame
 from eldenet.deploy.video_files import in_time, open_video
+from eldenet.geometry import pinhole
 from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
 from eldenet.visualization import photo_beside_depth, visible_range
@@ -210,3 +212,31 @@ def test_an_address_that_never_answers_ends_in_the_timeout() -> None:
         with pytest.raises(ValueError, match=rf"source=rtsp://{address}/a did not answer within 1 s"):
             DepthStream(f"rtsp://{address}/a", lambda frame: frame, timeout=1.0)
         assert time.monotonic() - start < 5
+
+
+def bag_of(folder: Path, frames: list[np.ndarray], times: list[float]) -> Path:
+    sent = [bags.lens(times[0], pinhole(60.0, 60.0, 31.5, 23.5), (48, 64))]
+    return bags.write_bag(folder, [*sent, *map(bags.picture, times, frames)])
+
+
+def test_a_bag_is_a_video_whose_lens_is_known(model_folder: Path, tmp_path: Path) -> None:
+    frames = [np.roll(photo(), 9 * number, 1) for number in range(3)]
+    bag = bag_of(tmp_path, frames, [1.7e9, 1.7e9 + 0.5, 1.8e9])  # the clock was set
+    options = ["formats=[color,depth,ply]", "steady=false"]
+    results = run(model_folder, bag, tmp_path / "bag", *options)
+    assert results.images == 3
+    for number, frame in enumerate(frames):
+        save(tmp_path / f"photos/{number:06d}.png", frame)
+    alone = [*options, "sharp=false", "intrinsics=[60,60,31.5,23.5]"]
+    run(model_folder, tmp_path / "photos", tmp_path / "each", *alone)
+    for name in ("000000_depth.png", "000002_depth.png", "000001.ply"):
+        assert (tmp_path / "bag/walk" / name).read_bytes() == (tmp_path / "each" / name).read_bytes()
+    assert len(read_video(tmp_path / "bag/walk_depth.mp4")[0]) == 17  # 30 a second
+
+
+def test_a_bag_takes_a_topic_and_no_second_lens(model_folder: Path, tmp_path: Path) -> None:
+    bag = bag_of(tmp_path, [photo()], [1.7e9])
+    with pytest.raises(ValueError, match=r"has pictures in /camera/image_raw: give topic= one of them"):
+        run(model_folder, bag, tmp_path / "out", "topic=/rear")
+    with pytest.raises(ValueError, match=r"fov: the CameraInfo of a bag says the lens; intrinsics= replaces"):
+        run(model_folder, bag, tmp_path / "out", "fov=60")
