@@ -97,7 +97,12 @@ class ArenaView:
             self.room.update()
 
     def photo(
-        self, pose: tuple[float, float, float], time: float = 0.0, noise: int = 0, settings: int = 0
+        self,
+        pose: tuple[float, float, float],
+        time: float = 0.0,
+        noise: int = 0,
+        settings: int = 0,
+        camera: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> Photo:
         """Take a photo from a pose of the robot.
 
@@ -107,9 +112,10 @@ class ArenaView:
             noise: seed of the pixel noise.
             settings: seed of the camera's exposure, tone and blur; keep it over a video, so that it does not
                 flicker.
+            camera: center and rotation, as of :func:`camera_pose`; None: as it is mounted on the robot.
         """
         self.walk_to(time)
-        linear, hits = self.room.photograph(self.camera, *camera_pose(pose))
+        linear, hits = self.room.photograph(self.camera, *(camera or camera_pose(pose)))
         finish = develop_photo if self.room.room.detail else develop
         image = finish(linear, Draw((*self._seed, 1, settings)), (*self._seed, noise))
         depth = hits.depth.astype(np.float32).reshape(self.size)

@@ -40,6 +40,7 @@ from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 
 HERE = Path(__file__).parent
+FRESH = 500  # index of the first test arena that no driver had crossed before
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Condition:
     Attributes:
         kind: of the arenas.
         density: their number of obstacles.
+        first: index of the first arena.
         sensor: options of the sensor.
         robot: options of the episodes.
         predicted: whether the driver knows the latency.
@@ -56,6 +58,7 @@ class Condition:
 
     kind: str = "open"
     density: int = 80
+    first: int = 0
     sensor: Mapping[str, Any] = field(default_factory=dict)
     robot: Mapping[str, float] = field(default_factory=dict)
     predicted: bool = False
@@ -67,6 +70,9 @@ CONDITIONS: Mapping[str, Condition] = {
     "20 obstacles": Condition(density=20),
     "5 obstacles": Condition(density=5),
     "rooms": Condition("rooms", 10),
+    # arenas of no other row
+    "80 obstacles, fresh": Condition(first=FRESH),
+    "rooms, fresh": Condition("rooms", 10, first=FRESH),
     "traps": Condition("traps", 10),
     "office": Condition("office", 10, robot={"time_limit": 120.0}),
     "maze": Condition("maze", 0, robot={"time_limit": 120.0}),
@@ -145,7 +151,8 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     stored = read(folder / "conditions.csv.gz")
     for name in args.conditions.split(";"):
         condition = CONDITIONS[name]
-        arenas = frozen_arenas(condition.density, args.worlds, kind=condition.kind)
+        count = condition.first + args.worlds
+        arenas = frozen_arenas(condition.density, count, kind=condition.kind)[condition.first :]
         for method in args.methods.split(";"):
             rows = stored.setdefault((method, name), [])
             if len(rows) >= args.worlds:

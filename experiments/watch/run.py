@@ -140,6 +140,11 @@ MOUNTS = {
     "height 0.25 m, told 0.40": (0.0, 0.0, 0.25),
 }
 LEVEL = (0.0, 0.0, ROBOT.camera_height)
+#: Faults of level.py, for every sensor with a picture.
+UNLEVEL: dict[str, Fault] = {
+    **{name: ANYWHERE["none"] for name in ("none", "pitch 5 degrees", "roll 5 degrees")},
+    **{f"depth x {factor:g}": scaled(factor) for factor in (0.75, 0.8, 1.2, 1.35)},
+}
 KINDS = {"80": ("open", 80), "rooms": ("rooms", 10)}
 
 
@@ -198,13 +203,13 @@ class Eye:
         """Depth [m] and picture."""
         if self.sensor == "ranges":
             return ranges, None
-        if self.sensor == "network":
-            photo = self.view.photo(pose, 0.0, int(self.rng.integers(2**31)))
-            return photo.depth, photo.image
         center, rotation = camera_pose(pose)
         pitch, roll, height = self.mount
         rotation = rotation @ level_rotation(pitch, roll)
         center = np.array([*center[:2], height])
+        if self.sensor == "network":
+            photo = self.view.photo(pose, 0.0, int(self.rng.integers(2**31)), camera=(center, rotation))
+            return photo.depth, photo.image
         room = self.view.room
         depth = self.view.camera.cast(room.model, room.data, center, rotation).depth.reshape(SIZE)
         focal = float(self.view.intrinsics[0, 0])
@@ -225,6 +230,7 @@ def drive(sensor: str, name: str, fault: str, world: int, leveled: bool | None =
     began = ROBOT.period * int(np.random.default_rng([7, world]).integers(15, 40))
     began = 0.0 if leveled is not None or fault in ("none", "closed goal", *MOUNTS) else began
     driver.leveler = Leveler() if leveled else None
+    change = FAULTS[sensor][fault] if leveled is None else UNLEVEL[fault]
     eye = Eye(sensor, arena, MOUNTS.get(fault, LEVEL), world)
     predictor = network() if sensor == "network" else None
     assert driver.watch is not None
@@ -246,7 +252,7 @@ def drive(sensor: str, name: str, fault: str, world: int, leveled: bool | None =
         now = Inputs(depth, goal, odometry, clock[0], image)
         if clock[0] >= began - 1e-6:
             then = then or now
-            now = FAULTS[sensor][fault](now, then)
+            now = change(now, then)
             if fault == "slipping wheels":
                 now.odometry = spun = spun or now.odometry
         options: dict[str, Any] = {}
@@ -255,6 +261,7 @@ def drive(sensor: str, name: str, fault: str, world: int, leveled: bool | None =
         if predictor is not None:
             options["image"] = now.image
             now.depth = predictor(now.image, intrinsics=eye.view.intrinsics)
+            now = now if leveled is None else change(now, now)
         command = driver.step(now.depth, now.goal, now.odometry, stamp=now.stamp, **options)
         if driver.stop_reason is not None:
             stopped, reason = clock[0], driver.stop_reason

@@ -138,3 +138,11 @@ def test_the_view_knows_which_obstacle_each_pixel_shows():
         mine = photo.obstacle == number
         np.testing.assert_allclose(photo.depth[mine], depth[mine], atol=1e-4)
         assert mine.sum() > 5
+
+
+def test_a_camera_that_is_mounted_upside_down_sees_the_same_upside_down():
+    arena = generate_arena("train", 20, 0)
+    view = ArenaView(arena, SIZE)
+    center, rotation = camera_pose(arena.start)
+    turned = view.photo(arena.start, camera=(center, rotation @ np.diag([-1.0, -1.0, 1.0])))
+    np.testing.assert_allclose(turned.depth[::-1, ::-1], view.photo(arena.start).depth, rtol=1e-4)
