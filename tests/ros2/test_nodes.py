@@ -348,32 +348,67 @@ def test_no_beam_of_the_scan_is_lost_in_nav2s_costmap() -> None:
     assert source["min_obstacle_height"] < scan["camera_height"] < source["max_obstacle_height"]
 
 
-def test_the_launch_file_starts_the_installed_nodes_with_their_topics(ros, monkeypatch) -> None:
+@pytest.fixture
+def launched(monkeypatch):
+    """Give a function that starts the launch file by its arguments; returns the options of its nodes."""
     for name in ("ament_index_python.packages", "launch", "launch.actions", "launch.conditions",
-                 "launch.substitutions", "launch_ros.actions",
-                 "launch_ros.parameter_descriptions"):  # fmt: skip
+                 "launch.substitutions", "launch_ros.actions"):  # fmt: skip
         monkeypatch.setitem(sys.modules, name, MagicMock())
     sys.modules["ament_index_python.packages"].get_package_share_directory = lambda name: PACKAGE
-    sys.modules["launch.substitutions"].LaunchConfiguration = lambda name: f"${name}"
-    started: list[dict] = []
-    sys.modules["launch_ros.actions"].Node = lambda **options: started.append(options)
-    launch = runpy.run_path(str(PACKAGE / "launch/eldenet.launch.py"))
-    launch["generate_launch_description"]()
-    assert Path(launch["ARGUMENTS"]["params"][0]).is_file()
+    sys.modules["launch"].LaunchDescription = list
+    sys.modules["launch.actions"].DeclareLaunchArgument = lambda name, **options: (name, options)
+    sys.modules["launch.actions"].OpaqueFunction = lambda function: function
+    sys.modules["launch.conditions"].IfCondition = {"true": True, "True": True}.get
+    sys.modules["launch.substitutions"].LaunchConfiguration = lambda name: SimpleNamespace(
+        perform=lambda context: context[name]
+    )
+    sys.modules["launch_ros.actions"].Node = dict
+
+    def start(**given: str) -> dict[str, dict]:
+        file = runpy.run_path(str(PACKAGE / "launch/eldenet.launch.py"))
+        *declared, nodes = file["generate_launch_description"]()
+        defaults = {name: options["default_value"] for name, options in declared}
+        assert set(given) <= set(defaults)
+        return {node["executable"]: node for node in nodes(defaults | given) if node["condition"]}
+
+    return start
+
+
+def test_the_launch_file_starts_the_installed_nodes_with_their_topics(launched, monkeypatch) -> None:
+    started = launched(drive="true", detector="/boxes.onnx")
+    assert set(started) == set(NODES)
     setup: dict = {}
     monkeypatch.setitem(
         sys.modules, "setuptools", SimpleNamespace(setup=lambda **options: setup.update(options))
     )
     runpy.run_path(str(PACKAGE / "setup.py"))
     scripts = dict(line.split(" = ") for line in setup["entry_points"]["console_scripts"])
-    for options in started:
-        target, function = scripts[options["executable"]].split(":")
+    for name, options in started.items():
+        target, function = scripts[name].split(":")
         assert f"def {function}(" in (PACKAGE / f"{target.replace('.', '/')}.py").read_text()
-        assert options["name"] == f"eldenet_{options['executable']}"
-        source = (PACKAGE / f"eldenet_ros/{options['executable']}_node.py").read_text()
-        for topic, argument in options["remappings"]:
+        assert options["name"] == f"eldenet_{name}"
+        assert Path(options["parameters"][0]).is_file()
+        source = (PACKAGE / f"eldenet_ros/{name}_node.py").read_text()
+        for topic, _ in options["remappings"]:
             assert f'"{topic}"' in source
-            assert argument.removeprefix("$") in launch["ARGUMENTS"]
+
+
+def test_an_argument_of_the_launch_file_counts_only_where_it_is_given(launched) -> None:
+    assert set(launched()) == {"depth", "scan"}
+    assert launched(drive="true", params="mine.yaml")["drive"]["parameters"] == ["mine.yaml"]
+    own = launched(drive="true", depth="false", lidar="/scan", detector="/it's.onnx")
+    assert own["drive"]["parameters"][1:] == [{"lidar": "/scan"}]
+    assert own["boxes"]["parameters"][1:] == [{"detector": "/it's.onnx"}]
+    assert set(own) == {"scan", "boxes", "drive"}
+
+
+def test_documented_arguments_of_the_launch_file_exist(launched) -> None:
+    pages = [*PACKAGE.glob("*.md"), *PACKAGE.glob("config/*.yaml"), *PACKAGE.parents[1].glob("docs/*.md")]
+    text = "\n".join(page.read_text() for page in pages)
+    lines = re.findall(r"ros2 launch eldenet_ros eldenet\.launch\.py(.*)", text)
+    assert len(lines) > 4
+    for line in lines:
+        launched(**dict(re.findall(r"(\w+):=(\S+)", line)))
 
 
 def test_the_package_names_what_it_imports() -> None:

@@ -3,12 +3,11 @@
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 PACKAGE = "eldenet_ros"
 ARGUMENTS = {
@@ -28,39 +27,35 @@ ARGUMENTS = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the nodes and their arguments."""
-    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-    depth = [("depth/image", given["depth_image"]), ("depth/camera_info", given["depth_info"])]
-    picture = ("image", given["image"])
-    # as text: launch reads a bare value as YAML, in which nothing is null
-    text = {name: ParameterValue(given[name], value_type=str) for name in ("detector", "lidar")}
+    """Return the arguments and the nodes."""
+    declared = (
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, (value, text) in ARGUMENTS.items()
+    )
+    return LaunchDescription([*declared, OpaqueFunction(function=nodes)])
 
-    def node(name: str, condition: object, remappings: list, extra: dict | None = None) -> Node:
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """Return the nodes for the arguments that were given; an empty one leaves the parameters as they are."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    depth = [("depth/image", given["depth_image"]), ("depth/camera_info", given["depth_info"])]
+    picture, base = ("image", given["image"]), [("odom", given["odom"]), ("cmd_vel", given["cmd_vel"])]
+
+    def node(name: str, condition: str, remappings: list, argument: str = "") -> Node:
+        own = [{argument: given[argument]}] if given.get(argument) else []
         return Node(
             package=PACKAGE,
             executable=name,
             name=f"eldenet_{name}",
             output="screen",
             condition=IfCondition(condition),
-            parameters=[given["params"], *([extra] if extra else [])],
+            parameters=[given["params"], *own],
             remappings=remappings,
         )
 
-    has_detector = PythonExpression(["'", given["detector"], "' != ''"])
-    return LaunchDescription(
-        [
-            *(
-                DeclareLaunchArgument(name, default_value=value, description=text)
-                for name, (value, text) in ARGUMENTS.items()
-            ),
-            node("depth", given["depth"], [picture, ("camera_info", given["camera_info"]), *depth]),
-            node("scan", given["scan"], depth),
-            node("boxes", has_detector, [picture, *depth], {"detector": text["detector"]}),
-            node(
-                "drive",
-                given["drive"],
-                [*depth, ("odom", given["odom"]), ("cmd_vel", given["cmd_vel"])],
-                {"lidar": text["lidar"]},
-            ),
-        ]
-    )
+    return [
+        node("depth", given["depth"], [picture, ("camera_info", given["camera_info"]), *depth]),
+        node("scan", given["scan"], depth),
+        node("boxes", str(bool(given["detector"])), [picture, *depth], "detector"),
+        node("drive", given["drive"], [*depth, *base], "lidar"),
+    ]
