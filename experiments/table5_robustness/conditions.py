@@ -200,9 +200,10 @@ def write(folder: Path, rows: Rows) -> None:
     text = [
         "# Rooms, traps, delay, wrong distances and other robots",
         "",
-        "Success [%] with Wilson's 95 % interval on the first test arenas; true ranges, wheels, goal known, "
-        f"80 obstacles unless the row names others. {environment()['date']}. The last column counts arenas "
-        "that only `dqn_ensemble` and only the method of the row solved, and McNemar's p-value.",
+        f"Success [%] with Wilson's 95 % interval on the first test arenas (fresh: from {FRESH} on); true "
+        "ranges, wheels, goal known, 80 obstacles unless the row names others. "
+        f"{environment()['date']}. The last column counts arenas that only `dqn_ensemble` and only the "
+        "method of the row solved, and McNemar's p-value.",
         "",
         "| condition | method | arenas | success | collisions | time-outs | time of successes [s] | SPL |"
         " only `dqn_ensemble` : only it |",

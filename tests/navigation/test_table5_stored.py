@@ -4,10 +4,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from support.composing import composed
 from support.detector_files import FILES, save
 from support.scripts import EXPERIMENTS, load_scripts
 
-from eldenet.compose import compose_config
 from eldenet.navigation.episodes import EpisodeSettings
 from eldenet.navigation.evaluation import Episode
 from eldenet.navigation.sensors import Ranges
@@ -36,7 +36,8 @@ def test_rows_of_one_kind_are_of_the_same_arenas(name):
     kinds: dict[str, list[list[str]]] = {}
     for row in STUDIES[name].read(FOLDER / f"{name}.csv.gz").values():
         worlds = [episode.world for episode in row]
-        kinds.setdefault(worlds[0].rpartition("-")[0], []).append(worlds)
+        kinds.setdefault(worlds[0], []).append(worlds)
+    assert {first.rpartition("-")[2] for first in kinds} <= {"0", str(conditions.FRESH)}
     for rows in kinds.values():
         shortest = min(map(len, rows))
         assert shortest >= 40
@@ -92,4 +93,4 @@ def test_planners_drive_with_the_carrot_that_the_rule_chose(method):
     rows = race.read(EXPERIMENTS / "table6_time" / "carrots.csv.gz")
     assert race.PLANNERS[method]().carrot == race.tuned(rows, method)
     if method in ("astar_dwa", "astar_online_dwa", "dwa"):
-        assert compose_config("navigate", [f"policy={method}"]).policy.carrot == race.tuned(rows, method)
+        assert composed("navigate", [f"policy={method}"]).policy.carrot == race.tuned(rows, method)
