@@ -143,7 +143,7 @@ LEVEL = (0.0, 0.0, ROBOT.camera_height)
 #: Faults of level.py, for every sensor with a picture.
 UNLEVEL: dict[str, Fault] = {
     **{name: ANYWHERE["none"] for name in ("none", "pitch 5 degrees", "roll 5 degrees")},
-    **{f"depth x {factor:g}": scaled(factor) for factor in (0.75, 0.8, 1.2, 1.35)},
+    **{f"depth x {factor:g}": scaled(factor) for factor in (0.8, 1.2)},
 }
 KINDS = {"80": ("open", 80), "rooms": ("rooms", 10)}
 
