@@ -139,10 +139,14 @@ def predictor_of(source: str, runtime: str) -> DepthPredictor:
     return DepthPredictor(network, steady=False, uncertainty=network.distribution is not None)
 
 
-def log_slope(rows: Sequence[dict[str, str]]) -> float:
-    """Slope of ln predicted over ln true median of frames: 1 where the scale follows the scene."""
+def log_slopes(rows: Sequence[dict[str, str]]) -> list[str]:
+    """Slopes between the ln medians of frames: predicted over true, and true over predicted.
+
+    The first is 1 where the scale follows the scene. Where the second is 1, no correction of the predicted
+    scale alone helps on average: the first is as low as the picture leaves the scale unsure.
+    """
     truth, depth = (np.log([float(row[name]) for row in rows]) for name in ("median_truth", "median_depth"))
-    return float(np.polyfit(truth, depth, 1)[0])
+    return [f"{np.polyfit(*pair, 1)[0]:.2f}" for pair in ((truth, depth), (depth, truth))]
 
 
 def mean(rows: Sequence[dict[str, str]], figure: str) -> str:
@@ -168,7 +172,7 @@ def report(stored: Sequence[dict[str, str]]) -> None:
         groups.setdefault(key, {}).setdefault(row["view"], []).append(row)
     text = ["# bench\n"]
     heads = {
-        "Whole frames": ["frames", "δ1", "AbsRel", "δ1, aligned", "log slope", "inside 80 %"],
+        "Whole frames": ["frames", "δ1", "AbsRel", "δ1, aligned", "log slope", "back", "inside 80 %"],
         "Distances: AbsRel of pixels at": [f"{low:g} to {high:g} m" for low, high in BINS],
         "Shapes: δ1 (less the whole frame's on the same pixels)": list(SHAPES),
         "Lenses: δ1 (less the whole frame's on the same pixels)": list(ZOOMS),
@@ -178,7 +182,7 @@ def report(stored: Sequence[dict[str, str]]) -> None:
         for key, views in sorted(groups.items(), key=lambda item: (PLACES.index(item[0][0]), item[0])):
             whole = views["whole"]
             cells = [
-                [len(whole), *(mean(whole, name) for name in FIGURES[:3]), f"{log_slope(whole):.2f}"],
+                [len(whole), *(mean(whole, name) for name in FIGURES[:3]), *log_slopes(whole)],
                 [mean(whole, name) for name in NEAR],
                 [change(views[view]) for view in SHAPES if view in views],
                 [change(views[view]) for view in ZOOMS if view in views],
@@ -190,7 +194,7 @@ def report(stored: Sequence[dict[str, str]]) -> None:
     text.append(
         "Brackets: 95 % intervals over scenes. Aligned: each frame times median(truth) / median(prediction). "
         "Inside: share of pixels whose true depth lies in the 80 % interval. Log slope: of predicted over "
-        f"true median, over frames. {machine}. "
+        f"true median, over frames; back: of true over predicted. {machine}. "
         "Made by `python experiments/bench/run.py`.\n"
     )
     write_text(HERE / "results.md", "\n".join(text))
