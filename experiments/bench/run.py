@@ -46,6 +46,7 @@ SPLITS = {
     "rooms": (ROOMS, "test"),
     "rooms_near": ([*ROOMS, "data.near=1"], "test"),
     "rooms_down": ([*ROOMS, "data.down=1"], "test"),
+    "rooms_plain": ([*ROOMS, "data.plain=1"], "test"),
 }
 PLACES = (*SPLITS, *OTHER_CAMERAS)
 SHAPES = {"16:9": 16 / 9, "2:1": 2.0, "3:4": 3 / 4, "9:16": 9 / 16}  # width / height
