@@ -12,7 +12,9 @@ from pathlib import Path
 import torch
 
 import eldenet
+from eldenet.data.base import DepthDataset
 from eldenet.evaluation.evaluator import evaluate
+from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.system.files import read_table, write_rows
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -25,11 +27,15 @@ COLUMNS = ("weights", "place", *FIGURES)
 ASPECTS = {"hololens_office": 3 / 2, "tum_fr3_cabinet": 4 / 3}
 
 
+def frames_of(place: str, rows: int) -> tuple[EvalProtocol, DepthDataset]:
+    """Return the protocol and the frames of a place, as a network of ``rows`` rows of pixels sees them."""
+    return camera_split(place, (rows, round(rows * ASPECTS[place])))
+
+
 def score(source: str, place: str) -> list[float]:
     """Return delta1 and AbsRel unaligned, then delta1 and AbsRel median-aligned."""
     model = eldenet.load(source)
-    rows = model.info["input_size"][0]
-    protocol, frames = camera_split(place, (rows, round(rows * ASPECTS[place])))
+    protocol, frames = frames_of(place, model.info["input_size"][0])
     found = []
     for scale in ("metric", "median"):
         result = evaluate(model, frames, replace(protocol, scale=scale), device=torch.device("cpu"))

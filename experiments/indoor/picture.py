@@ -6,14 +6,17 @@ seen. Rows lie at 20, 40, 60 and 80 % of all frames ranked by AbsRel, best first
 """
 
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
-from sharp import place
 
 import eldenet
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.visualization import color_depth, depth_scale, stack_rows, visible_range
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from places import camera_frames
 
 SIZE = (320, 213)  # of a panel (width, height) [px]
 
@@ -22,7 +25,7 @@ def main(source: str, output: str) -> None:
     """Rank the frames and draw four of them."""
     predictor = DepthPredictor(eldenet.load(source), steady=False, sharp=True)
     found = []
-    for photo, truth, camera in place("hololens_office"):
+    for photo, truth, camera, *_ in camera_frames("hololens_office")[1]:
         depth, known = predictor(photo, intrinsics=camera), truth > 0
         found.append((float(np.mean(np.abs(depth - truth)[known] / truth[known])), photo, truth, depth))
     found.sort(key=lambda frame: frame[0])

@@ -4,51 +4,34 @@
 NYU frames (the others chose the constants), and those of ``$ELDENET_DATA/other_cameras``.
 """
 
-import os
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
-from other_cameras import PLACES
 
 import eldenet
-from eldenet.compose import compose
-from eldenet.data.io import read_depth, read_image
 from eldenet.deploy.predictor import DepthPredictor
-from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.results.paired_intervals import Scores, paired_interval
 from eldenet.results.run_record import environment
 from eldenet.results.tables import to_markdown
-from eldenet.train import TrainSettings
+from eldenet.types import Frame
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from places import OTHER_CAMERAS, camera_frames, split_frames
 
 EDGE = 1.15  # ratio of neighboring depths at an edge
 NEAR = 9  # side of the square around an edge [px]
 
-# photo, true depth [m], (fx, fy, cx, cy) [px]
-Shot = tuple[np.ndarray, np.ndarray, tuple[float, ...]]
 
-
-def nyu() -> Iterator[Shot]:
-    """Two of three held-out frames; the others chose the constants of sharpening."""
-    config = compose(TrainSettings, ["data=nyu_labelled"])
-    frames = open_split(config.data, "val", chosen_protocol(config.data, config.protocol))
-    for index in range(len(frames)):
-        if index % 3:
-            frame = frames.load_frame(index)
-            k = frame.intrinsics
-            assert k is not None
-            yield frame.image, frame.depth, (k[0, 0], k[1, 1], k[0, 2], k[1, 2])
-
-
-def place(name: str) -> Iterator[Shot]:
-    """The frames of another camera."""
-    for path in sorted((Path(os.environ["ELDENET_DATA"]) / "other_cameras" / name).glob("*.jpg")):
-        truth = read_depth(path.with_suffix(".png"), "mm")
-        yield read_image(path), truth, tuple(PLACES[name][0])
+def frames_of(place: str) -> list[Frame]:
+    """Two of three held-out frames of NYU (the others chose the constants), all of another camera."""
+    if place == "NYU":
+        frames = split_frames(["data=nyu_labelled"])[1]
+        return [frame for index, frame in enumerate(frames) if index % 3]
+    return camera_frames(place)[1]
 
 
 def near_edges(truth: np.ndarray) -> np.ndarray:
@@ -74,10 +57,10 @@ def main(source: str) -> None:
     model = eldenet.load(source)
     plain, sharp = (DepthPredictor(model, steady=False, sharp=on) for on in (False, True))
     rows = []
-    for name, shots in {"NYU": nyu(), **{name: place(name) for name in PLACES}}.items():
+    for name in ("NYU", *OTHER_CAMERAS):
         figures: list[list[float]] = []
         seconds: list[float] = []
-        for photo, truth, camera in shots:
+        for photo, truth, camera, *_ in frames_of(name):
             before = plain(photo, intrinsics=camera)
             start = time.perf_counter()
             after = sharp(photo, intrinsics=camera)

@@ -19,7 +19,7 @@ from eldenet.system.files import read_table, write_rows
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "indoor"))
-from other_cameras import PLACES, frames_of  # noqa: E402
+from other_cameras import ASPECTS, frames_of  # noqa: E402
 
 STORED = HERE / "cameras.csv.gz"
 COLUMNS = ("row", "seed", "place", "frame", "delta1", "delta1_median_aligned")
@@ -33,8 +33,8 @@ def measure(folder: Path) -> None:
     rows = []
     for run in sorted(folder.glob("*/seed*")):
         model = eldenet.load(run)
-        for place in PLACES:
-            frames, protocol = frames_of(place, model.info["input_size"][0])
+        for place in ASPECTS:
+            protocol, frames = frames_of(place, model.info["input_size"][0])
             scores = [
                 [row[column] for row in evaluate(model, frames, each, device=torch.device("cpu")).rows]
                 for each in (protocol, replace(protocol, scale="median"))
