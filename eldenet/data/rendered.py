@@ -85,14 +85,16 @@ class RenderedScenes(DepthDataset):
             self.artifacts = import_module("eldenet.simulation.depth_camera").StereoArtifacts()
         if focal is not None and not self.any_lens:
             raise ValueError(f"focal={list(focal)}: the camera of {self.generator.name} has one lens")
-        shares = {"near": float(near), "down": float(down), "plain": float(plain)}
+        shares = {"near": near, "down": down, "plain": plain}
         given = ", ".join(f"{name}={share:g}" for name, share in shares.items() if share)
         if given and self.generator.name != "rooms":
             raise ValueError(f"{given}: {self.generator.name} has no such frames; rooms has")
         if not (min(shares.values()) >= 0 and near + down <= 1 and plain <= 1):
             raise ValueError(f"{given}: give shares, 0 to 1, of near and down at most 1 together")
         chosen = self.detailed if detail else self.generator
-        self.generator = chosen.with_focal(focal)._replace(**shares)
+        self.generator = chosen.with_focal(focal)._replace(
+            near=float(near), down=float(down), plain=float(plain)
+        )
         size = self.default_size if size is None else size
         one_of("split", split, SPLITS)
         if len(size) != 2 or min(size) < 16 or max(size) > 2048:

@@ -1,7 +1,7 @@
 """Frames of a room: choose cameras, cast, shade, develop."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 import cv2
 import numpy as np
@@ -35,6 +35,20 @@ class Views(NamedTuple):
     rotation: np.ndarray
 
 
+class Shares(TypedDict, total=False):
+    """What a data set may show more of.
+
+    Attributes:
+        near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
+        down: share of frames that look down at the floor and what stands on it.
+        plain: share of rooms whose surfaces have no pattern.
+    """
+
+    near: float
+    down: float
+    plain: float
+
+
 def render_room(
     split: str,
     index: int,
@@ -43,9 +57,7 @@ def render_room(
     *,
     focal: tuple[float, float] = KINECT,
     detail: bool = False,
-    near: float = 0.0,
-    down: float = 0.0,
-    plain: float = 0.0,
+    **shares: Unpack[Shares],
 ) -> Views:
     """Render the frames of room ``index`` of a split at ``(height, width)`` [px].
 
@@ -56,11 +68,10 @@ def render_room(
         views: how many.
         focal: range of fx [widths]; each frame draws its own.
         detail: rooms as people photograph them: natural colors, more things, light that bounces.
-        near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
-        down: share of frames that look down at the floor and what stands on it.
-        plain: share of rooms whose surfaces have no pattern.
+        **shares: see :class:`Shares`; 0 unless given.
     """
     cv2.setNumThreads(0)
+    near, down, plain = shares.get("near", 0.0), shares.get("down", 0.0), shares.get("plain", 0.0)
     room = CompiledRoom(generate_room(split, index, detail, plain))
     draw = Draw((SPLITS[split], index, 1))
     frames = []
