@@ -56,11 +56,14 @@ LEARNED = {
     "dqn_curriculum": Learned(("training.arenas.curriculum=0.5",)),
     "dqn_quantile": Learned(("learner.quantiles=16",)),
 }  # fmt: skip
-VARIANTS = ("paper_centers", "dqn_reverse", "dqn_curriculum", "dqn_quantile")  # only run by name
+VARIANTS = (  # only run by name
+    "paper_centers", "dqn_reverse", "dqn_curriculum", "dqn_quantile", "astar_online_dqn_follows",
+)  # fmt: skip
 PLANNERS: dict[str, Callable[..., Any]] = {
     "astar_online_dqn": partial(
         PlanAndSteer, slows_within=1.0, heeds_unseen=False
     ),  # steers with the packaged policy
+    "astar_online_dqn_follows": partial(PlanAndSteer, slows_within=1.0, heeds_unseen=False, walkers=True),
     "astar_dwa": AStarDWA,
     "astar_online_dwa": AStarOnlineDWA,
     "dwa": LocalDWA,

@@ -192,7 +192,7 @@ def key_of(row: Row, args: Namespace, weights: Path | None, arenas: str) -> dict
 
 def planner_version(method: str) -> dict[str, Any] | None:
     """Return what a planner's decisions depend on: versions, look-ahead distance [m], policy."""
-    if method == "astar_online_dqn":
+    if method.startswith("astar_online_dqn"):
         return {"dwa": DWA_VERSION, "steer": STEER_VERSION, "policy": digest([DEFAULT_WEIGHTS])}
     if "dwa" in method:
         return {"dwa": DWA_VERSION, "carrot": PLANNERS[method]().carrot}

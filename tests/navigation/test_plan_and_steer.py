@@ -165,3 +165,16 @@ def test_what_rays_met_was_seen_and_what_is_behind_was_not():
     assert not ((np.abs(bearing) < 0.4) & (away < 1.9)).any()
     assert ((np.abs(bearing) < 0.4) & (away > 2.5)).any()
     assert not (away < 0.2).any()  # under the robot
+
+
+def test_it_forgets_where_a_pedestrian_was():
+    ahead = {}
+    for walkers in (False, True):
+        driver = PlanAndSteer(walkers=walkers)
+        driver.reset(0)
+        for period in range(8):  # from left to right, 2 m ahead
+            ranges = np.full((1, ROBOT.columns), ROBOT.far)
+            ranges[0, 30 - 3 * period : 36 - 3 * period] = 2.0
+            driver.commands(Senses(ranges, np.zeros((1, 3)), np.array([[8.0, 0.0]])))
+        ahead[walkers] = len(driver.observer.memory.points(0))
+    assert ahead[True] == 0 < ahead[False]

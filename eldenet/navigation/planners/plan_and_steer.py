@@ -66,6 +66,7 @@ class PlanAndSteer(OnRobot):
         slows_within: distance to the goal at which it slows down [m].
         heeds_unseen: the dynamic window keeps out of places never seen until the robot has looked all round,
             and may turn away from a wall close by; False: as for the stored rows of the studies.
+        walkers: track pedestrians: forget where they were, remember where they will be.
         robots: number of robots.
 
     Raises:
@@ -85,6 +86,7 @@ class PlanAndSteer(OnRobot):
         *,
         slows_within: float | None = 1.0,
         heeds_unseen: bool = True,
+        walkers: bool = False,
         robots: int = 1,
     ) -> None:
         super().__init__()
@@ -98,7 +100,7 @@ class PlanAndSteer(OnRobot):
                 "that never backs up and whose middle action drives straight"
             )
         self.observer.memory = Memory(
-            robots, REMEMBERED, seen_through=self.observer.memory.seen_through, walkers=False
+            robots, REMEMBERED, seen_through=self.observer.memory.seen_through, walkers=walkers
         )
         self._maps = [OnlineMap() for _ in range(robots)]
         self._paths: list[np.ndarray | None] = [None] * robots
