@@ -179,7 +179,7 @@ def _pictures(s: AdaptSettings, reader: str) -> "Source":
 def main(s: AdaptSettings) -> None:
     """Refuse settings that the other kind of adaptation reads, then adapt."""
     if s.bag is None:
-        refuse_unread(("topic",), "only a bag of ROS as source= has topics")
+        refuse_unread(("topic",), "source= is no bag of ROS or does not exist; only bags have topics")
     if s.is_drive:
         frames = ("root", "images", "depths", "csv", "confidence", "encoding", "ground_truth", "intrinsics")
         unread = ("loss", "protocol", *(f"data.{name}" for name in frames))

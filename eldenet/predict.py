@@ -327,7 +327,7 @@ def open_predictor(
 def main(s: PredictSettings) -> None:
     """Refuse settings that nothing reads, then predict."""
     if not is_bag(Path(s.source).expanduser()):
-        refuse_unread(("topic",), "only a bag of ROS as source= has topics")
+        refuse_unread(("topic",), "source= is no bag of ROS or does not exist; only bags have topics")
     if not s.boxes:
         refuse_unread(("perception",), "only boxes=true makes 3D boxes")
     try:

@@ -90,7 +90,7 @@ class RenderedScenes(DepthDataset):
         if given and self.generator.name != "rooms":
             raise ValueError(f"{given}: {self.generator.name} has no such frames; rooms has")
         if not (min(shares.values()) >= 0 and near + down <= 1 and plain <= 1):
-            raise ValueError(f"{given}: give shares, 0 to 1, of near and down at most 1 together")
+            raise ValueError(f"{given}: give shares from 0 to 1, near and down together at most 1")
         chosen = self.detailed if detail else self.generator
         self.generator = chosen.with_focal(focal)._replace(
             near=float(near), down=float(down), plain=float(plain)

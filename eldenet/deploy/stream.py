@@ -51,7 +51,7 @@ class DepthStream:
             print(stream.ended_too_soon)  # not empty if the camera was unplugged
 
     Args:
-        source: a video file, "camera:0" (number of a camera) or "/dev/video0", an address ("rtsp://..."), or
+        source: a video file, "camera:0" (number of a camera) or "/dev/video0", an address ("rtsp://..."),
             a bag of ROS, or any iterable of frames ``(H, W, 3)`` uint8 RGB.
         predictor: frame -> depth ``(H, W)`` [m], such as :class:`~eldenet.deploy.predictor.DepthPredictor`.
         queue_size: frames that may wait; with ``drop``, a new frame replaces the oldest.

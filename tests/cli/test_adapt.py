@@ -31,7 +31,10 @@ def test_a_second_adapt_in_one_folder_is_refused(run_command, tmp_path, kind):
             "poses=o.csv source=images data.root=.",
             "data.root: poses= or a bag makes the frames, from source=",
         ),
-        ("source=images topic=/camera/image_raw", "topic: only a bag of ROS as source= has topics"),
+        (
+            "source=images topic=/camera/image_raw",
+            "topic: source= is no bag of ROS or does not exist; only bags have topics",
+        ),
         ("source=walk.mcap camera_height=1", "source=walk.mcap does not exist: give a bag of ROS"),
         (
             "camera_height=1 source=images camera_ahead=0.1",

@@ -103,7 +103,7 @@ def test_near_rooms_show_what_is_close(tmp_path: Path) -> None:
     medians = [float(np.median(some.load_frame(index).depth)) for index in range(32)]
     assert 2 <= sum(median < 1.3 for median in medians) <= 16
     with pytest.raises(
-        ValueError, match=r"near=0\.6, down=0\.6: give shares, 0 to 1, of near and down at most 1 together"
+        ValueError, match=r"near=0\.6, down=0\.6: give shares from 0 to 1, near and down together at most 1"
     ):
         Rooms("train", 8, size=SIZE, root=tmp_path, near=0.6, down=0.6)
     with pytest.raises(ValueError, match="near=1: streets has no such frames; rooms has"):
@@ -120,7 +120,9 @@ def test_plain_rooms_have_the_same_depth_and_no_patterns(tmp_path: Path) -> None
         assert {materials.palette.rows[number][9] for number in surfaces} <= set(variants("plain"))
     half = Rooms("train", 8, size=SIZE, root=tmp_path, workers=0, plain=0.5)
     assert half.folder.name.startswith("rooms-plain0.5-v1")
-    with pytest.raises(ValueError, match="plain=2: give shares, 0 to 1, of near and down at most 1 together"):
+    with pytest.raises(
+        ValueError, match="plain=2: give shares from 0 to 1, near and down together at most 1"
+    ):
         Rooms("train", 8, size=SIZE, root=tmp_path, plain=2)
 
 
