@@ -50,6 +50,9 @@ SUPPLIED: dict[str, set[str]] = {
     "eldenet.navigation.planners.": {"robots"},
     "eldenet.navigation.dqn.DQNSettings": {"seed"},
 }
+# Workers depend on the machine; rendered frames are never missing and need no cache.
+RENDERED = {"workers", "cache", "on_error", "resize_on_load"}
+OF_ROOMS = {"near", "down", "plain"}
 # Options that YAML files leave out on purpose.
 HIDDEN: dict[str, set[str]] = {
     "eldenet.model.DepthNet.from_parts": {
@@ -59,28 +62,9 @@ HIDDEN: dict[str, set[str]] = {
     # the same, for whole networks
     "eldenet.model.DepthNet": {"refine", "mean", "std", "canonical_focal", "canonical_width"},
     "eldenet.perception.lifter.BoxLifter": {"priors"},  # a table of class sizes, given from Python
-    # workers depend on the machine; rendered frames are never missing and need no cache
-    "eldenet.data.rooms.Rooms": {"workers", "cache", "on_error", "resize_on_load"},
-    # one lens; near and down are of rooms
-    "eldenet.data.arenas.Arenas": {
-        "workers",
-        "cache",
-        "on_error",
-        "resize_on_load",
-        "focal",
-        "near",
-        "down",
-        "plain",
-    },
-    "eldenet.data.streets.Streets": {
-        "workers",
-        "cache",
-        "on_error",
-        "resize_on_load",
-        "near",
-        "down",
-        "plain",
-    },
+    "eldenet.data.rooms.Rooms": RENDERED,
+    "eldenet.data.arenas.Arenas": RENDERED | {"focal"} | OF_ROOMS,  # one lens
+    "eldenet.data.streets.Streets": RENDERED | OF_ROOMS,
     "eldenet.losses.": {"applies_to"},  # "metric" but in losses for data=mix
     # options of the sources, which each source states itself
     "eldenet.data.mix.Mix": {"min_depth", "max_depth", "cache", "on_error", "resize_on_load"},
