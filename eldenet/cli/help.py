@@ -221,15 +221,15 @@ def _no_choice(config_name: str, words: Sequence[str]) -> str:
 
 def _added(config_name: str, words: Sequence[str], sources: Sequence[str]) -> str:
     """Return a line on a setting that a plus adds and that nothing would read."""
-    added = [word for word in words if word.startswith("+")]
+    options = groups(config_name)
+    added = [word for word in words if word.startswith("+") and _parsed(word).key_or_group not in options]
     if not added:
         return ""
-    options = groups(config_name)
     config = plain(compose_config(config_name, [w for w in words if w not in added], sources), resolve=False)
     named = set(re.findall(r"\$\{([\w.]+)\}", json.dumps(config, default=str)))
     for word in added:
         key = _parsed(word).key_or_group
-        if key in options or "/" in key or "@" in key or key.partition(".")[0] == "hydra" or key in named:
+        if "/" in key or "@" in key or key.partition(".")[0] == "hydra" or key in named:
             continue
         section, place, name = config, "", key
         while "." in name and isinstance(section.get(name.partition(".")[0]), dict):

@@ -136,6 +136,12 @@ def test_a_file_of_settings_that_is_no_yaml_is_named(tmp_path: Path) -> None:
     assert "\n" not in str(error.value)
 
 
+def test_settings_that_only_an_added_choice_has_are_known() -> None:
+    assert advice("train", ["+experiment=indoor", "data.sources.rooms.weight=0.6"]) == ""
+    line = advice("train", ["+experiment=indoor", "data.sources.roms.weight=0.6"])
+    assert line.startswith("there is no setting data.sources.roms.weight: did you mean")
+
+
 def test_a_missing_setting_is_described_as_in_the_help() -> None:
     assert comment_on(settings_of("predict"), "source").startswith("a picture, a folder of pictures")
     assert comment_on(settings_of("train"), "weights").startswith("run, model folder, Hub id or")
