@@ -352,7 +352,8 @@ def test_no_beam_of_the_scan_is_lost_in_nav2s_costmap() -> None:
 def launched(monkeypatch):
     """Give a function that starts the launch file by its arguments; returns the options of its nodes."""
     for name in ("ament_index_python.packages", "launch", "launch.actions", "launch.conditions",
-                 "launch.substitutions", "launch_ros.actions"):  # fmt: skip
+                 "launch.substitutions", "launch_ros.actions",
+                 "launch_ros.parameter_descriptions"):  # fmt: skip
         monkeypatch.setitem(sys.modules, name, MagicMock())
     sys.modules["ament_index_python.packages"].get_package_share_directory = lambda name: PACKAGE
     sys.modules["launch"].LaunchDescription = list
@@ -363,6 +364,10 @@ def launched(monkeypatch):
         perform=lambda context: context[name]
     )
     sys.modules["launch_ros.actions"].Node = dict
+    sys.modules["launch_ros.parameter_descriptions"].ParameterValue = lambda value, value_type: (
+        value_type,
+        value,
+    )
 
     def start(**given: str) -> dict[str, dict]:
         file = runpy.run_path(str(PACKAGE / "launch/eldenet.launch.py"))
@@ -397,8 +402,8 @@ def test_an_argument_of_the_launch_file_counts_only_where_it_is_given(launched) 
     assert set(launched()) == {"depth", "scan"}
     assert launched(drive="true", params="mine.yaml")["drive"]["parameters"] == ["mine.yaml"]
     own = launched(drive="true", depth="false", lidar="/scan", detector="/it's.onnx")
-    assert own["drive"]["parameters"][1:] == [{"lidar": "/scan"}]
-    assert own["boxes"]["parameters"][1:] == [{"detector": "/it's.onnx"}]
+    assert own["drive"]["parameters"][1:] == [{"lidar": (str, "/scan")}]
+    assert own["boxes"]["parameters"][1:] == [{"detector": (str, "/it's.onnx")}]
     assert set(own) == {"scan", "boxes", "drive"}
 
 

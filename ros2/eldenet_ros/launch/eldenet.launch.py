@@ -8,6 +8,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 PACKAGE = "eldenet_ros"
 ARGUMENTS = {
@@ -42,7 +43,8 @@ def nodes(context: LaunchContext) -> list[Node]:
     picture, base = ("image", given["image"]), [("odom", given["odom"]), ("cmd_vel", given["cmd_vel"])]
 
     def node(name: str, condition: str, remappings: list, argument: str = "") -> Node:
-        own = [{argument: given[argument]}] if given.get(argument) else []
+        # as text: launch reads a bare value as YAML
+        own = [{argument: ParameterValue(given[argument], value_type=str)}] if given.get(argument) else []
         return Node(
             package=PACKAGE,
             executable=name,
