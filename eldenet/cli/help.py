@@ -221,8 +221,9 @@ def _no_choice(config_name: str, words: Sequence[str]) -> str:
 
 def _added(config_name: str, words: Sequence[str], sources: Sequence[str]) -> str:
     """Return a line on a setting that a plus adds and that nothing would read."""
-    options = groups(config_name)
-    added = [word for word in words if word.startswith("+") and _parsed(word).key_or_group not in options]
+    added = [word for word in words if word.startswith("+")]
+    options = groups(config_name) if added else {}
+    added = [word for word in added if _parsed(word).key_or_group not in options]  # choices stay
     if not added:
         return ""
     config = plain(compose_config(config_name, [w for w in words if w not in added], sources), resolve=False)
