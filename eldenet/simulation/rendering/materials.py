@@ -55,7 +55,7 @@ class Materials:
     Args:
         draw: of the room.
         natural: colors and patterns as most homes and offices have them; without it, any color.
-        plain: walls, floor, furniture and cloths without a pattern; small things keep theirs.
+        plain: walls, floor, furniture and cloths without a pattern; pictures, books and prints keep theirs.
     """
 
     def __init__(self, draw: Draw, natural: bool = False, plain: bool = False) -> None:
