@@ -14,6 +14,7 @@ from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import EpochSampler, batches_on, evaluation_loader, training_loader
+from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.evaluator import evaluate_batches, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
@@ -476,7 +477,8 @@ class Trainer:
         """Raise ValueError if the network cannot train on one frame: BatchNorm of a map of 1 x 1 pixels."""
         with torch.random.fork_rng(devices=()):
             try:
-                copy.deepcopy(model).train()(self.train_set[0, 0]["image"][None])
+                image = self.train_set[0, 0]["image"][None].to(device_of(model))
+                copy.deepcopy(model).train()(image)
             except ValueError as error:
                 if "more than 1 value per channel" not in str(error):
                     raise

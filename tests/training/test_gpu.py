@@ -143,8 +143,8 @@ def test_predictions_and_metrics_are_those_of_a_cpu() -> None:
     model = eldenet.load("eldenet_rooms")
     on_cpu = DepthPredictor(model, steady=False, sharp=True)(photo(240, 320))
     scores = evaluate(model, SyntheticDepth(6), PROTOCOL).metrics
-    model.to("cuda")
-    difference = np.abs(DepthPredictor(model, steady=False, sharp=True)(photo(240, 320)) - on_cpu)
+    predictor = DepthPredictor(model.to("cuda"), device="cuda", steady=False, sharp=True)
+    difference = np.abs(predictor(photo(240, 320)) - on_cpu)
     assert (difference > 1e-3).mean() < 5e-3
     found = evaluate(model, SyntheticDepth(6), PROTOCOL, device="cuda").metrics
     assert found == {name: pytest.approx(value, rel=1e-3) for name, value in scores.items()}

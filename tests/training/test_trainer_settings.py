@@ -174,6 +174,13 @@ def test_a_cuda_graph_needs_a_gpu_and_whole_updates(tmp_path):
         make_trainer(cuda_graph=True, profile=True)
 
 
+def test_a_network_that_lies_on_a_gpu_is_tried_there_on_a_batch_of_one():
+    """The meta device stands for a GPU; ``adapt`` trains a network that has predicted there."""
+    trainer = make_trainer()
+    trainer.train_set = SyntheticDepth(1)
+    trainer._refuse_batch_of_one(eldenet.load("eldenet_s").to("meta"))
+
+
 class FakeGraph:
     """Stands for a CUDA graph: a replay computes on the captured tensors again."""
 
@@ -192,19 +199,22 @@ def test_a_graphed_step_replays_on_each_batch_and_runs_others_beside(monkeypatch
     seen = []
 
     def step(batch):
-        seen.append(batch)
+        seen.append(optimizer.param_groups[0]["capturable"])
         return {"total": batch["image"].sum()}
 
     weight = torch.zeros(3, requires_grad=True)
     optimizer = torch.optim.Adam([weight], lr=0.5, fused=True)
     graphed = GraphedStep(step, optimizer)
     FakeGraph.graphed = graphed
+    for rows in range(3, 3 + WARM_UP):  # shapes that came once each: a capture could not choose kernels
+        graphed({"image": torch.ones(rows, 2), "name": ["a"]})
+    seen.clear()
     for value in range(WARM_UP + 3):
         terms = graphed({"image": torch.full((2, 2), float(value)), "name": ["a"]})
         assert terms["total"] == 4 * value
-    assert (len(seen), FakeGraph.replays) == (WARM_UP + 1, 3)
+    assert (seen, FakeGraph.replays) == ([*WARM_UP * [False], True], 3)
     assert graphed({"image": torch.ones(1, 2), "name": ["a"]})["total"] == 2
-    assert (len(seen), FakeGraph.replays) == (WARM_UP + 2, 3)
+    assert (seen, FakeGraph.replays) == ([*WARM_UP * [False], True, False], 3)
     rates = constant(optimizer, 10, 5)  # a schedule writes into the tensor that the graph reads
     kept = optimizer.param_groups[0]["lr"]
     rates.step()
