@@ -324,6 +324,7 @@ def main_job(tiny: bool, seconds: float) -> dict[str, float]:
             check=True,
             timeout=seconds,
             capture_output=True,
+            text=True,
         )
         took = time.perf_counter() - started
         record = json.loads(Path(place, "run", "run.json").read_text())
@@ -414,7 +415,8 @@ def main() -> None:
             try:
                 found = measure() if left() > 0 else "no time left"
             except Exception as error:  # a row that fails leaves the others
-                found = f"{type(error).__name__}: {str(error)[:200]}"
+                said = str(getattr(error, "stderr", None) or error)  # what a command printed at its end
+                found = f"{type(error).__name__}: {' '.join(said[-200:].split())}"
             if isinstance(found, dict):
                 shown = ", ".join(f"{key} {value:.4g}" for key, value in found.items())
             else:
