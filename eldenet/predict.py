@@ -330,10 +330,7 @@ def main(s: PredictSettings) -> None:
         refuse_unread(("topic",), "source= is no bag of ROS or does not exist; only bags have topics")
     if not s.boxes:
         refuse_unread(("perception",), "only boxes=true makes 3D boxes")
-    try:
-        predict(s)
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None  # as shells count it
+    predict(s)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 from eldenet.system.escaping import one_line, without_password
 
@@ -39,7 +39,7 @@ def terminal() -> Iterator[None]:
     (``| head``) ends the block quietly.
 
     Raises:
-        SystemExit: the output cannot be written (a full disk); one line says so.
+        SystemExit: the output cannot be written (a full disk), and one line says so; or Ctrl-C.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         stream = getattr(sys, name)
@@ -58,11 +58,14 @@ def terminal() -> Iterator[None]:
         _drop_output()
         print_error(f"standard output cannot be written ({error.strerror}): nothing more is printed")
         raise SystemExit(1) from None
-    except BaseException:
-        with suppress(OSError):
+    except BaseException as error:
+        try:
             sys.stdout.flush()
-            raise
-        _drop_output()
+        except OSError:
+            _drop_output()
+        if isinstance(error, KeyboardInterrupt):
+            logging.disable()  # what libraries report as they end
+            raise SystemExit(130) from None  # as shells count it
         raise
 
 

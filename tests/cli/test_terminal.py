@@ -48,6 +48,11 @@ def test_a_reader_that_leaves_ends_the_command_quietly() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, b"a", b"")
 
 
+def test_ctrl_c_ends_a_command_without_a_traceback() -> None:
+    done = run(f"{PRINTS % 'a'}\n    raise KeyboardInterrupt")
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"a" * 99999 + b"\n", b"")
+
+
 def test_names_of_files_move_no_cursor_and_start_no_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert printable("a\x1b[2J\r\nerror: b\u202e\u2028c\x9b") == "a [2J  error: b  c "
     tree = "a\nb: x. Expected tree:\nimages/a.jpg\ndepths/a\x07.png"
