@@ -138,9 +138,11 @@ def predict(s: PredictSettings) -> "Results":
     one_of("engine", s.engine, ("auto", *runtimes.RUNTIMES))
     runtimes.check_installed(str(s.checkpoint), s.engine)
     source = find_source(s.source, Path(s.output).expanduser(), s.frames, s.topic, s.intrinsics)
+    origin = "given"
     if source.bag is not None:
         if s.focal or s.fov:
             raise ValueError(f"{s.lenses[0]}: the CameraInfo of a bag says the lens; intrinsics= replaces it")
+        origin = "from CameraInfo" if s.intrinsics is None else origin
         s = replace(s, intrinsics=source.bag.intrinsics)
     results = open_results(s, source)
     recording = results.folder / "predict.rrd" if s.viewer is not None else None
@@ -149,7 +151,7 @@ def predict(s: PredictSettings) -> "Results":
     log = RunLog(results.folder)
     network = open_predictor(s, log, formats=results.formats, is_video=source.is_video)
     camera = None if s.intrinsics is None else intrinsic_matrix(s.intrinsics)
-    lens = Lens(network.canonical_px, intrinsics=camera, focal=s.focal, fov=s.fov)
+    lens = Lens(network.canonical_px, intrinsics=camera, focal=s.focal, fov=s.fov, origin=origin)
     predictor = Timed(network, lens)
     boxes: AbstractContextManager[Any] = nullcontext()
     viewer: AbstractContextManager[RerunViewer | None] = nullcontext()

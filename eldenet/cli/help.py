@@ -227,7 +227,7 @@ def _added(config_name: str, words: Sequence[str], sources: Sequence[str]) -> st
     if not added:
         return ""
     config = plain(compose_config(config_name, [w for w in words if w not in added], sources), resolve=False)
-    named = set(re.findall(r"\$\{([\w.]+)\}", json.dumps(config, default=str)))
+    named = set(re.findall(r"\$\{(?:oc\.select:)?([\w.]+)", json.dumps(config, default=str)))
     for word in added:
         key = _parsed(word).key_or_group
         if "/" in key or "@" in key or key.partition(".")[0] == "hydra" or key in named:
@@ -253,8 +253,10 @@ def _takes(section: Mapping[str, Any], place: str, name: str) -> bool:
         return False  # of the command's own settings
     if not any(isinstance(part, dict) and "_target_" in part for part in section.values()):
         return True  # a mapping of anything, such as given of a study
-    files = (config_folder() / place.partition(".")[0]).rglob("*.yaml")
-    return any(re.search(rf"^{re.escape(name)}:", file.read_text(), re.MULTILINE) for file in files)
+    texts = [file.read_text() for file in (config_folder() / place.partition(".")[0]).rglob("*.yaml")]
+    entry = re.compile(rf"^{re.escape(name)}:", re.MULTILINE)
+    # what a file itself hands on, as rooms.yaml does data.plain, is nothing to the others
+    return any(entry.search(text) and f"${{{place}{name}}}" not in text for text in texts)
 
 
 def _arguments(target: str) -> list[str]:

@@ -41,6 +41,7 @@ class Lens:
         intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of all pictures [px], or None.
         focal: fx of all pictures [px], or None.
         fov: horizontal field of view of all pictures [degrees], or None.
+        origin: where one of these three comes from.
 
     Attributes:
         origins: number of pictures by where their focal length comes from.
@@ -57,8 +58,9 @@ class Lens:
         intrinsics: Sequence[float] | np.ndarray | None = None,
         focal: float | None = None,
         fov: float | None = None,
+        origin: str = "given",
     ) -> None:
-        self.canonical_px, self.fov = canonical_px, fov
+        self.canonical_px, self.fov, self.origin = canonical_px, fov, origin
         self.intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics)
         self.focal = focal if self.intrinsics is None else float(self.intrinsics[0, 0])
         self.given = self.focal is not None or fov is not None
@@ -102,7 +104,7 @@ class Lens:
     def _find(self, size: Sequence[int], photo: "Photo | None") -> tuple[float | None, str]:
         """Fx [px] of a picture, and where it comes from."""
         if self.given:
-            return focal_length(None, self.fov, (size[0], size[1]), self.focal), "given"
+            return focal_length(None, self.fov, (size[0], size[1]), self.focal), self.origin
         if isinstance(photo, Path) and (camera := object_camera(photo)) is not None:
             return float(camera.intrinsics[0, 0]), "from calib/"
         return None if photo is None else exif_focal(photo, (size[0], size[1])), "from EXIF"

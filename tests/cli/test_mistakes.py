@@ -47,6 +47,9 @@ def answer(line: str) -> str:
         ("train +optimizer.amsgrad=true", ""),  # its class takes it
         ("train +model.mean=[0,0,0] debug=fast", ""),
         ("train data=folder +data.train.csv=a.csv", ""),
+        ("train data=streets +data.plain=0.5", "there is no setting data.plain"),  # rooms has it
+        ("train data=kitti +data.resize_on_load=[3,4]", ""),
+        ("train data=kitti_selection protocol=folder +data.ground_truth=improved", ""),  # the protocol asks
         ("study study=a +given.mine=/data", ""),
         # names
         ("train --config-dir . trainer.epohcs=1", "setting trainer.epohcs: did you mean trainer.epochs?"),

@@ -234,6 +234,14 @@ def test_a_bag_is_a_video_whose_lens_is_known(model_folder: Path, tmp_path: Path
     assert len(read_video(tmp_path / "bag/walk_depth.mp4")[0]) == 17  # 30 a second
 
 
+def test_the_lens_of_a_bag_is_said_to_be_its_own(tmp_path: Path, capsys) -> None:
+    bag = bag_of(tmp_path, [photo()], [1.7e9])
+    run("eldenet_indoor", bag, tmp_path / "own", "formats=[color]")
+    assert "camera: fx 60 px (from CameraInfo), pictures 64 px wide" in capsys.readouterr().out
+    run("eldenet_indoor", bag, tmp_path / "given", "formats=[color]", "intrinsics=[50,50,31.5,23.5]")
+    assert "camera: fx 50 px (given), pictures 64 px wide" in capsys.readouterr().out
+
+
 def test_a_bag_takes_a_topic_and_no_second_lens(model_folder: Path, tmp_path: Path) -> None:
     bag = bag_of(tmp_path, [photo()], [1.7e9])
     with pytest.raises(ValueError, match=r"has pictures in /camera/image_raw: give topic= one of them"):
