@@ -173,7 +173,9 @@ class DepthNet(Configurable, nn.Module):
         self.head = self.head.rescaled(factor)
         self.config["head"] = self.head.config
 
-    def save_pretrained(self, folder: str | Path, *, info: dict[str, Any] | None = None) -> Path:
+    def save_pretrained(
+        self, folder: str | Path, *, info: dict[str, Any] | None = None, half: bool = False
+    ) -> Path:
         """Write ``config.json``, ``model.safetensors`` and a card, ``README.md``, into ``folder``.
 
         The config has digests of itself and of the weights. The card has the Hub's metadata and the metrics
@@ -183,6 +185,8 @@ class DepthNet(Configurable, nn.Module):
             folder: created if it does not exist.
             info: facts about the weights (training data, protocol, metrics) as JSON values; added to
                 :attr:`info`, replacing entries of the same name.
+            half: store the parameters as fp16, in half the bytes; BatchNorm's statistics stay fp32. The network
+                that is loaded again computes in fp32.
 
         Raises:
             ValueError: a part of the network is not :class:`Configurable`, or ``info`` holds other values.
@@ -203,7 +207,11 @@ class DepthNet(Configurable, nn.Module):
                 f"cannot save this model: {error}. Its parts must subclass Configurable, and their arguments "
                 "and info must be plain values"
             ) from error
-        state = {name: value.detach().cpu().contiguous() for name, value in self.state_dict().items()}
+        parameters = {name for name, _ in self.named_parameters()} if half else set()
+        state = {
+            name: (value.half() if name in parameters else value).detach().cpu().contiguous()
+            for name, value in self.state_dict().items()
+        }
         folder = Path(folder)
         weights = save(state, metadata={"format": "pt"})
         write_bytes(folder / WEIGHTS_NAME, weights)

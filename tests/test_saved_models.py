@@ -68,6 +68,18 @@ def test_every_part_is_saved_and_read_back(options: dict[str, Any], tmp_path: Pa
     assert same_model(eldenet.load(str(tmp_path / "again")), model)
 
 
+def test_half_the_bytes_hold_the_parameters_and_the_exact_statistics(tmp_path: Path) -> None:
+    model = small_net()
+    model.save_pretrained(tmp_path / "half", half=True)
+    back = eldenet.load(tmp_path / "half")
+    for stored, given in zip(back.parameters(), model.parameters(), strict=True):
+        assert stored.dtype == torch.float32
+        torch.testing.assert_close(stored, given, rtol=2**-11, atol=2**-25)  # half a step of fp16
+    assert all(map(torch.equal, back.buffers(), model.buffers()))
+    back.save_pretrained(tmp_path / "again", half=True)
+    assert (tmp_path / "again" / "config.json").read_bytes() == (tmp_path / "half" / "config.json").read_bytes()
+
+
 def test_a_run_folder_loads_with_its_info(tmp_path: Path) -> None:
     model = small_net()
     info = {"data": "rooms", "delta1": 0.5}
