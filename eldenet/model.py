@@ -185,8 +185,8 @@ class DepthNet(Configurable, nn.Module):
             folder: created if it does not exist.
             info: facts about the weights (training data, protocol, metrics) as JSON values; added to
                 :attr:`info`, replacing entries of the same name.
-            half: store the parameters as fp16, in half the bytes; BatchNorm's statistics stay fp32. The network
-                that is loaded again computes in fp32.
+            half: store the parameters as fp16, in half the bytes; BatchNorm's statistics stay fp32. The
+                network that is loaded again computes in fp32.
 
         Raises:
             ValueError: a part of the network is not :class:`Configurable`, or ``info`` holds other values.

@@ -42,7 +42,6 @@ def arguments(
     parser.add_argument(
         "--stored", action="store_true", help="rows as they are stored, whatever has changed since; SPL anew"
     )
-    parser.add_argument("--figure", action="store_true", help="draw the table too, as <name>.png")
     parser.add_argument("--runs", type=Path, default=Path("runs/table5"), help="folder of trainings")
     parser.add_argument("--rows", type=Path, default=HERE / "rows", help="folder of rows")
     return parser.parse_args()

@@ -18,7 +18,6 @@ from command import all_rows, arguments, refuse_to_drop, results_name, without_n
 from comparisons import Tables, courses_of, loss, paired
 from inputs import fed_by
 from methods import LEARNED
-from panels import draw_panels
 from rows import NOTES, Row, measure, read_notes
 
 from eldenet.navigation.evaluation import Episode, summarize
@@ -77,8 +76,6 @@ def write_results(tables: Tables, args: Namespace, rows: Sequence[Row]) -> None:
     (HERE / f"{name}.md").write_text("\n".join(lines) + "\n")
     names = ["physics", "sensor", "method", "training", "course", *summarize(next(iter(tables.values()))[0])]
     write_table(HERE / "tables.csv", name, names, cells)
-    if args.figure:
-        plot(cells, HERE / f"{name}.png")
 
 
 def made_with(args: Namespace, rows: Sequence[Row]) -> list[str]:
@@ -113,19 +110,6 @@ def cell(seeds: list[list[Episode]]) -> str:
         f"{mean['success']:.1f}{spread} [{mean['success_low']:.1f}, {mean['success_high']:.1f}], "
         f"{mean['collision']:.1f} / {mean['timeout']:.1f}, {mean['spl']:.3f}"
     )
-
-
-def plot(cells: Sequence[Sequence[Any]], path: Path) -> None:
-    """Draw success over density, a panel for each physics and sensor, from the rows of a results CSV."""
-    shares: dict = defaultdict(list)
-    for physics, sensor, method, _, course, _, *values in cells:
-        if str(course).isdigit():
-            shares[(physics, sensor), method, int(course)].append([float(value) for value in values[:3]])
-    curves: dict = defaultdict(lambda: defaultdict(list))
-    for (panel, method, course), trainings in shares.items():
-        curves[panel][method].append((course, *np.mean(trainings, axis=0)))
-    if curves:  # a table of walkers has one column, so no curve
-        draw_panels(curves, path, ylabel="success [%]", ylim=(0, 102))
 
 
 if __name__ == "__main__":

@@ -11,9 +11,8 @@ import math
 import sys
 from argparse import Namespace
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "table5_success"))
@@ -29,7 +28,6 @@ from command import (  # noqa: E402
     write_table,
 )
 from inputs import fed_by  # noqa: E402
-from panels import draw_panels  # noqa: E402
 from rows import measure  # noqa: E402
 
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
@@ -101,8 +99,6 @@ def write_results(tables: Tables, args: Namespace) -> None:
     names = ["physics", "sensor", "method", "course", "seconds", "worlds"]
     names += ["ratio", "ratio_low", "ratio_high", "worlds_both"]
     write_table(HERE / "tables.csv", name, names, cells)
-    if args.figure:
-        plot(cells, HERE / f"{name}.png")
     print("\n".join(lines))
 
 
@@ -140,15 +136,6 @@ def ratio_to_reference(
 
     low, high = bootstrap_interval(ratio, len(reference))
     return ratio(np.arange(len(reference))), low, high, int(both.sum(axis=1).min())
-
-
-def plot(cells: Sequence[Sequence[Any]], path: Path) -> None:
-    """Draw time over density, a panel for each physics and sensor, from the rows of a results CSV."""
-    curves: dict = defaultdict(lambda: defaultdict(list))
-    for physics, sensor, method, course, seconds, *_ in cells:
-        if str(course).isdigit() and seconds != "":
-            curves[physics, sensor][method].append((int(course), float(seconds)))
-    draw_panels(curves, path, ylabel="time on worlds all solved [s]")
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ from eldenet.evaluation.uncertainty_metrics import PROTOCOL, UncertaintyMeter, U
 from eldenet.model import DepthNet  # noqa: E402
 from eldenet.results.packed_runs import read_records, write_records  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.results.uncertainty_plots import reliability_plot, sparsification_plot  # noqa: E402
+from eldenet.results.uncertainty_plots import sparsification_plot  # noqa: E402
 from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
 from eldenet.system.timing import median_ms, time_interleaved  # noqa: E402
 from eldenet.train import TrainSettings  # noqa: E402
@@ -217,7 +217,7 @@ def report(runs: Path | None, *, time_it: bool) -> None:
     records = [record for name, record in sorted(stored.items()) if name != LATENCY]
     names = sorted({record["row"] for record in records}, key=lambda name: (name == PLAIN, name))
     seeds = {name: [record["seed"] for record in records if record["row"] == name] for name in names}
-    lines, curves, coverage, temperatures, rows = [], {}, {}, [], []
+    lines, curves, temperatures, rows = [], {}, [], []
     for name in names:
         own = [record for record in records if record["row"] == name]
         for kind, label in (("own", f"{name}: sigma"), ("mirror", f"{name}: mirror image")):
@@ -235,8 +235,6 @@ def report(runs: Path | None, *, time_it: bool) -> None:
                 error: np.mean([record[kind]["curves"][error] for record in own], axis=0)
                 for error in ("abs_rel", "rmse")
             }
-            if kind == "own":
-                coverage[label] = np.mean([record[kind]["coverage"] for record in own], axis=0)
         if "own" in own[0]:
             temperatures += [
                 f"- {name}, seed {record['seed']}: temperature {record['temperature']:.3f}; without it 90 % "
@@ -271,7 +269,6 @@ def report(runs: Path | None, *, time_it: bool) -> None:
     ]
     write_text(HERE / "results.md", "\n".join(lines) + "\n")
     sparsification_plot(HERE / "sparsification.png", curves)
-    reliability_plot(HERE / "reliability.png", coverage)
 
 
 def depth_rows(seeds: Mapping[str, Sequence[int]]) -> list[list[str]]:

@@ -136,13 +136,11 @@ def test_the_whole_command_writes_headings_with_what_fed_them(rows, study, tmp_p
     run = study("run")
     monkeypatch.setattr(run, "HERE", tmp_path)
     monkeypatch.setattr(run, "arguments", lambda: given(
-        tmp_path, sensors="ranges,noisy", goal="odometry", courses="5", methods="straight",
-        figure=True))  # fmt: skip
+        tmp_path, sensors="ranges,noisy", goal="odometry", courses="5", methods="straight"))  # fmt: skip
     run.main()
     text = (tmp_path / "results-2-goal-odometry.md").read_text()
     assert "## noisy, kinematic, goal odometry" in text
     assert "errors `packaged` (SHA-256 " in text
     assert "goal `odometry` (odometry is exact here)" in text
     assert "nan" not in (tmp_path / "tables.csv").read_text()
-    assert (tmp_path / "results-2-goal-odometry.png").is_file()
     assert "straight-noisy-odometry-kinematic-5-2" in rows.read_notes(tmp_path / "rows" / rows.NOTES)

@@ -3,7 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
-MODULES = ("rows", "command", "methods", "panels", "inputs", "comparisons", "run", "trajectories")
+MODULES = ("rows", "command", "methods", "inputs", "comparisons", "run", "trajectories")
 FOLDER = Path(__file__).parents[2] / "experiments" / "table5_success"
 
 
@@ -12,6 +12,6 @@ def given(tmp_path: Path, **options) -> Namespace:
         "worlds": 2, "seeds": 1, "methods": "straight", "sensors": "ranges", "physics": "kinematic",
         "courses": "5,20+10", "depth": None, "detector": None, "errors": "packaged",
         "goal": "known", "out": None, "runs": tmp_path / "runs",
-        "rows": tmp_path / "rows", "figure": False, "stored": False,
+        "rows": tmp_path / "rows", "stored": False,
     }  # fmt: skip
     return Namespace(**(settings | options))

@@ -1,6 +1,6 @@
 """Compare the depth of rendered rooms with NYU's in a few numbers, and draw a contact sheet of the rooms.
 
-python experiments/rooms_beside_nyu/run.py        (NYU's row needs ELDENET_DATA, see docs/data.md)
+python experiments/renders/beside_nyu.py        (NYU's row needs ELDENET_DATA, see docs/data.md)
 """
 
 from pathlib import Path
@@ -132,11 +132,11 @@ def main() -> None:
     lines += [
         "",
         "256 frames each, evenly spaced. Gradient: mean relative depth difference over 1/40 of the width.",
-        "Made by `python experiments/rooms_beside_nyu/run.py`.",
+        "Made by `python experiments/renders/beside_nyu.py`.",
         "",
         "![test rooms, image over depth](rooms.jpg)",
     ]
-    (HERE / "results.md").write_text("\n".join(lines) + "\n")
+    (HERE / "beside_nyu.md").write_text("\n".join(lines) + "\n")
     Image.fromarray(contact_sheet(rooms)).save(HERE / "rooms.jpg", quality=90)
     print("\n".join(lines))
 
