@@ -64,6 +64,7 @@ FIGURES = (
     "inside80",
     *NEAR,
 )
+OF_VIEWS = FIGURES[:4]  # the others are those of whole frames alone
 COLUMNS = ("weights", "runtime", "place", "frame", "view", *FIGURES)
 ENOUGH = 50  # pixels of a distance
 
@@ -129,8 +130,12 @@ def score(name: str, predictor: DepthPredictor, place: str) -> Iterator[list[obj
                 predictor(np.ascontiguousarray(image[box]), intrinsics=camera)
             )
             whole = found.depth if whole is None else whole
-            values = figures(found, depth[box], whole[box], known[box], protocol)
-            yield [name, runtime, place, frame, view, *(f"{value:.5g}" for value in values)]
+            values = [
+                f"{value:.5g}" for value in figures(found, depth[box], whole[box], known[box], protocol)
+            ]
+            if view != "whole":
+                values[len(OF_VIEWS) :] = [""] * (len(FIGURES) - len(OF_VIEWS))
+            yield [name, runtime, place, frame, view, *values]
 
 
 def predictor_of(source: str, runtime: str) -> DepthPredictor:
