@@ -78,9 +78,14 @@ class PictureDepth:
         """Return photo, colored depth and scale as one PIL picture, which notebooks display.
 
         The colors run from ``near`` to ``far`` [m]; None: the 2nd and 98th percentile of the depth.
+
+        Raises:
+            ValueError: not ``0 <= near < far``.
         """
         nearest, farthest = visible_range(self.depth)
         near, far = nearest if near is None else near, farthest if far is None else far
+        if not 0 <= near < far:
+            raise ValueError(f"near={near:g}, far={far:g}: give 0 <= near < far [m]")
         return Image.fromarray(photo_beside_depth(self.photo, self.depth, near, far))
 
     def save(self, folder: str | Path = ".", formats: Sequence[str] = ("depth", "color")) -> list[Path]:

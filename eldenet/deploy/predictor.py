@@ -19,7 +19,7 @@ from eldenet.geometry import (
     resize_image,
     size_of_aspect,
 )
-from eldenet.system.resources import full_fp32
+from eldenet.system.resources import check_torch_device, full_fp32
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class DepthPredictor:
 
     Raises:
         ValueError: ``uncertainty`` of a network without sigma, a size is invalid or not the one that a
-            file was exported for, or a runtime gets a device.
+            file was exported for, a runtime gets a device, or torch does not see the device.
     """
 
     def __init__(
@@ -122,9 +122,10 @@ class DepthPredictor:
             from eldenet.deploy.fold import fold
 
             self.device = torch.device(device or "cpu")
-            self.model = fold(model).to(self.device).to(memory_format=torch.channels_last)
             if self.device.type == "cuda":
+                check_torch_device("cuda")
                 full_fp32()  # as under other runtimes
+            self.model = fold(model).to(self.device).to(memory_format=torch.channels_last)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy or another process needs: everything but the videos of the threads here."""

@@ -96,14 +96,16 @@ def test_predictor_refuses_what_does_not_fit(model: DepthNet, network: Any, opti
         DepthPredictor(network or model, **options)
 
 
-def test_predictor_refuses_a_device_for_a_runtime() -> None:
-    with pytest.raises(ValueError, match=r"device=cuda is for models.*eldenet\.runtimes\.load"):
-        DepthPredictor(Runtime("fp32", 1, "cpu", {}), device="cuda")
+def test_predictor_refuses_a_gpu_that_torch_does_not_see(model: DepthNet, monkeypatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ValueError, match="device=cuda, but torch sees no CUDA device: use device=cpu"):
+        DepthPredictor(model, device="cuda")
 
 
 def test_fp32_on_cuda_is_not_tf32(model: DepthNet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
-    monkeypatch.setattr(model, "to", lambda *_, **__: model)  # no CUDA device is needed
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)  # no CUDA device is needed
+    monkeypatch.setattr(model, "to", lambda *_, **__: model)
     DepthPredictor(model, device="cuda")
     assert not torch.backends.cudnn.allow_tf32
 
