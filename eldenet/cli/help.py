@@ -272,7 +272,7 @@ def _arguments(target: str) -> list[str]:
 def quote_paths(words: Sequence[str]) -> list[str]:
     """Return words of the command line with ``~`` for the home folder written out, and names of files quoted.
 
-    Quotes are for what Hydra cannot read: ``source=my photo (1).jpg``.
+    Quotes are for what Hydra cannot read: ``source=my photo (1).jpg``, ``output=Küche``.
     """
     quoted = []
     for word in words:
@@ -280,7 +280,8 @@ def quote_paths(words: Sequence[str]) -> list[str]:
             word = HOME.sub(os.path.expanduser("~"), word)
         key, _, value = word.partition("=")
         plain_name = not word.startswith("-") and value and '"' not in value
-        if plain_name and _parsed(word) is None and os.path.exists(value):
+        is_name = os.path.exists(value) or not (value.isascii() or value.startswith(("[", "{")))
+        if plain_name and is_name and _parsed(word) is None:
             word = f'{key}="{value}"'
         quoted.append(word)
     return quoted

@@ -40,6 +40,7 @@ def test_a_second_adapt_in_one_folder_is_refused(run_command, tmp_path, kind):
             "camera_height=1 source=images camera_ahead=0.1",
             "camera_ahead: camera_height fits the scale alone",
         ),
+        ("data.root=. seed=-1", "seed=-1: give 0 or more"),
         ("data.root=. camera_ahead=0.1", "camera_ahead: only poses= or camera_height= reads it"),
     ],
 )

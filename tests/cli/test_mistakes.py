@@ -158,6 +158,12 @@ def test_the_home_folder_is_written_out_where_no_shell_does_it() -> None:
     assert quote_paths(given) == meant
 
 
+def test_a_name_in_any_alphabet_needs_no_quotes() -> None:
+    given = ["output=runs/Küche", "output=写真 (1)", "runs=[ä,b]", "output=a b", 'output="ä"']
+    assert quote_paths(given) == ['output="runs/Küche"', 'output="写真 (1)"', *given[2:]]
+    assert advice("train", quote_paths(given[:1])) == ""
+
+
 def test_a_part_is_chosen_with_a_slash() -> None:
     from eldenet.configurable import check_arguments
     from eldenet.model import DepthNet
