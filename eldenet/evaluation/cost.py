@@ -110,7 +110,6 @@ def measure_cost(
     with eval_mode(model), torch.inference_mode(), Waiting() as waiting:
         times = time_interleaved(
             {"one": lambda: model(one), "many": lambda: model(many)},
-            rounds=5,
             seconds=seconds / 5,
             synchronize=torch.cuda.synchronize if device.type == "cuda" else None,
         )

@@ -63,7 +63,7 @@ def official_layouts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """``kitti/depth`` with pictures in ``kitti/raw``, and ``cityscapes``, as the commands name them."""
     root = tmp_path_factory.mktemp("data")
     layouts.kitti_depth(root / "kitti", kind="velodyne_raw")
-    layouts.cityscapes(root / "cityscapes", layouts.content((1024, 2048)))
+    layouts.cityscapes(root / "cityscapes", layouts.content((256, 512)))
     return root
 
 
