@@ -1,6 +1,6 @@
 """Measure what ``adapt poses=`` gives: tuned on a drive without depth, scored with true depth elsewhere.
 
-python experiments/adapt/drives.py                       # all trials that drives.csv lacks, then drives.md
+python experiments/adapt/drives.py                       # all trials that drives.csv lacks; prints the table
 python experiments/adapt/drives.py robot_wide 0          # one trial
 
 Odometry is wrong by 2 % of the way and 0.5 degrees per meter (standard deviations: one part stays over the
@@ -34,7 +34,6 @@ from eldenet.data.drive_poses import MATRIX  # noqa: E402
 from eldenet.data.io import read_image  # noqa: E402
 from eldenet.deploy.predictor import DepthPredictor, for_camera  # noqa: E402
 from eldenet.geometry import pinhole  # noqa: E402
-from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.simulation.arena_view import ArenaView  # noqa: E402
 from eldenet.simulation.arenas import RESOLUTION, SIDE, clearance_map, generate_arena  # noqa: E402
 from eldenet.simulation.furnished_rooms.rooms import generate_room  # noqa: E402
@@ -282,13 +281,9 @@ def trial(place: str, seed: int) -> list[object]:
     return [place, seed, *shown, kept, len(report), *pairs, round(time.monotonic() - started)]
 
 
-def write_page(rows: list[dict[str, str]]) -> None:
-    """Write ``drives.md``."""
-    where = environment()
+def print_table(rows: list[dict[str, str]]) -> None:
+    """Print the trials in Markdown."""
     lines = [
-        f"{where['hardware']['processor']}, 1 thread, torch {where['versions']['torch']}; eldenet_indoor, 10 "
-        "epochs. Before and after are of frames that adapt never saw.",
-        "",
         "| place | seed | labeled pictures | corners | their error | kept | AbsRel | at 0.3 to 1 m | scale |",
         "|---|---:|---:|---:|---:|---|---:|---:|---:|",
     ]
@@ -300,8 +295,7 @@ def write_page(rows: list[dict[str, str]]) -> None:
         cells = " | ".join(row[name] for name in HEADER[:4])
         error = f"{100 * float(row['label_error']):.1f} %" if row["kept"] != "refused" else "-"
         lines.append(f"| {cells} | {error} | {row['kept']} | {pairs} |")
-    lines += ["", "Made by `python experiments/adapt/drives.py`."]
-    (HERE / "drives.md").write_text("\n".join(lines) + "\n")
+    print("\n".join(lines))
 
 
 def main() -> None:
@@ -320,7 +314,7 @@ def main() -> None:
             with table.open("a", newline="") as file:
                 csv.writer(file, lineterminator="\n").writerows([HEADER, row] if new else [row])
             print(*row, flush=True)
-    write_page(list(csv.DictReader(table.open())))
+    print_table(list(csv.DictReader(table.open())))
 
 
 if __name__ == "__main__":

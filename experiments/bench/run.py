@@ -2,7 +2,7 @@
 
 python experiments/bench/run.py eldenet_indoor
 python experiments/bench/run.py int8=exports/indoor-int8.onnx --runtime onnxruntime --places nyu
-python experiments/bench/run.py          the table and the plot of what is stored
+python experiments/bench/run.py          the table of what is stored
 
 A shape or a longer lens is a part of the frame, with the focal length of the frame. Its depth is scored on
 its own pixels, beside the whole frame's depth on the same pixels. Frames are those of ``$ELDENET_DATA``;
@@ -28,7 +28,6 @@ from eldenet.deploy.predictor import DepthPredictor  # noqa: E402
 from eldenet.evaluation.bootstrap import bootstrap_interval, scenes_of  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
 from eldenet.geometry import crop_intrinsics  # noqa: E402
-from eldenet.results.plots import pyplot_for_files, save_figure  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.results.tables import to_markdown  # noqa: E402
 from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
@@ -171,7 +170,7 @@ def change(rows: Sequence[dict[str, str]]) -> str:
 
 
 def report(stored: Sequence[dict[str, str]]) -> None:
-    """Write ``results.md`` and the plot."""
+    """Write ``results.md``."""
     groups: dict[tuple[str, str, str], dict[str, list[dict[str, str]]]] = {}
     for row in stored:
         key = (row["place"], row["weights"], row["runtime"])
@@ -204,31 +203,6 @@ def report(stored: Sequence[dict[str, str]]) -> None:
         "Made by `python experiments/bench/run.py`.\n"
     )
     write_text(HERE / "results.md", "\n".join(text))
-    plot(groups)
-
-
-def plot(groups: dict[tuple[str, str, str], dict[str, list[dict[str, str]]]]) -> None:
-    """delta1 of every view under torch, a line for each network, a panel for each place."""
-    groups = {key: views for key, views in groups.items() if key[2] == "torch"}
-    places = [place for place in PLACES if any(key[0] == place for key in groups)]
-    names = sorted({weights for _, weights, _ in groups})
-    pyplot = pyplot_for_files()
-    figure, axes = pyplot.subplots(
-        1, len(places), figsize=(2.8 * len(places), 3.9), sharey=True, squeeze=False, layout="constrained"
-    )
-    for axis, place in zip(axes[0], places, strict=True):
-        for (where, weights, _), views in groups.items():
-            if where == place:
-                shown = [view for view in VIEWS if view in views]
-                values = [float(mean(views[view], "delta1")) for view in shown]
-                axis.plot(shown, values, "o-", ms=3, color=f"C{names.index(weights)}", label=weights)
-        axis.set_title(place, fontsize=9)
-        axis.tick_params(axis="x", rotation=60, labelsize=8)
-        axis.grid(alpha=0.3)
-    axes[0, 0].set_ylabel("δ1, unaligned")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
-    save_figure(figure, HERE / "bench.png")
 
 
 def main() -> None:

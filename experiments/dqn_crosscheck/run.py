@@ -62,12 +62,10 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300_000)
     parser.add_argument("--worlds", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=HERE / "results.md")
+    parser.add_argument("--out", type=Path, default=Path("runs/dqn_crosscheck.md"))
     args = parser.parse_args()
     where = environment()
     lines = [
-        "# Two DQNs on one environment",
-        "",
         f"{args.steps:,} steps, seed {args.seed}, {ROBOTS} robots; success [%] on {args.worlds} "
         "validation arenas, kinematic, sensor ranges.",
         "",
@@ -90,6 +88,7 @@ def main() -> None:
         f"torch {where['versions']['torch']}, mujoco {where['versions']['mujoco']}, {where['date']}; "
         f"`python experiments/dqn_crosscheck/{where['command']}`.",
     ]
+    args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text("\n".join(lines) + "\n")
 
 
