@@ -1,4 +1,4 @@
-"""Compare the depth of rendered rooms with NYU's in a few numbers, and draw a contact sheet of the rooms.
+"""Compare the depth of rendered rooms with NYU's in a few numbers, and draw ``rooms.jpg``, some of the rooms.
 
 python experiments/renders/beside_nyu.py        (NYU's row needs ELDENET_DATA, see docs/data.md)
 """
@@ -129,14 +129,6 @@ def main() -> None:
     for name, dataset in sets.items():
         values = depth_statistics(dataset, 256)._asdict()
         lines.append(f"| {name} | " + " | ".join(f"{values[column]:.3f}" for column in COLUMNS) + " |")
-    lines += [
-        "",
-        "256 frames each, evenly spaced. Gradient: mean relative depth difference over 1/40 of the width.",
-        "Made by `python experiments/renders/beside_nyu.py`.",
-        "",
-        "![test rooms, image over depth](rooms.jpg)",
-    ]
-    (HERE / "beside_nyu.md").write_text("\n".join(lines) + "\n")
     Image.fromarray(contact_sheet(rooms)).save(HERE / "rooms.jpg", quality=90)
     print("\n".join(lines))
 
