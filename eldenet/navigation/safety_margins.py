@@ -1,7 +1,9 @@
 """Room that drivers keep around the robot's footprint [m].
 
-Planned paths keep more: :data:`eldenet.simulation.arenas.INFLATION` from the robot's center. What a camera
-may miss is in :mod:`eldenet.navigation.ranges`, how slowly a robot passes near things in ``Observer``.
+Planned paths keep more, from the robot's center: ``COSTS`` of
+:mod:`eldenet.navigation.planners.plan_and_steer`, and with A* and the dynamic window
+:data:`eldenet.simulation.arenas.INFLATION`, by which arenas are drawn too. What a camera may miss is in
+:mod:`eldenet.navigation.ranges`, how slowly a robot passes near things in ``Observer``.
 """
 
 # The learned driver. Its weights are only valid for this margin.
