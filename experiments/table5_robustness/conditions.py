@@ -53,7 +53,7 @@ class Condition:
         first: index of the first arena.
         sensor: options of the sensor.
         robot: options of the episodes.
-        predicted: whether the driver knows the latency.
+        predicted: latency that the driver is told [s].
     """
 
     kind: str = "open"
@@ -61,7 +61,7 @@ class Condition:
     first: int = 0
     sensor: Mapping[str, Any] = field(default_factory=dict)
     robot: Mapping[str, float] = field(default_factory=dict)
-    predicted: bool = False
+    predicted: float = 0.0
 
 
 CONDITIONS: Mapping[str, Condition] = {
@@ -78,9 +78,12 @@ CONDITIONS: Mapping[str, Condition] = {
     "maze": Condition("maze", 0, robot={"time_limit": 120.0}),
     "corridor": Condition("corridor", 0, robot={"time_limit": 120.0}),
     "latency 0.2 s": Condition(sensor={"latency": 0.2}),
-    "latency 0.2 s, predicted": Condition(sensor={"latency": 0.2}, predicted=True),
+    "latency 0.2 s, predicted": Condition(sensor={"latency": 0.2}, predicted=0.2),
     "latency 0.4 s": Condition(sensor={"latency": 0.4}),
-    "latency 0.4 s, predicted": Condition(sensor={"latency": 0.4}, predicted=True),
+    "latency 0.4 s, predicted": Condition(sensor={"latency": 0.4}, predicted=0.4),
+    # what a guess costs
+    "latency 0.4 s, 0.2 s guessed": Condition(sensor={"latency": 0.4}, predicted=0.2),
+    "no latency, 0.2 s guessed": Condition(predicted=0.2),
     "heading drift 4 degrees/m": Condition(sensor={"drift": {"distance": 0.0, "heading": math.radians(4)}}),
     "ranges 15 % too short": Condition(sensor={"factor": 0.85}),
     "ranges 15 % too short, corrected": Condition(sensor={"factor": 0.85}, robot={"range_scale": True}),
@@ -169,7 +172,7 @@ def driver(method: str, condition: Condition) -> Callable[[int], Any]:
     """Return number of robots -> driver."""
     if not condition.predicted:
         return METHODS[method]
-    return lambda robots: Predictive(METHODS[method](robots), condition.sensor["latency"], robots)
+    return lambda robots: Predictive(METHODS[method](robots), condition.predicted, robots)
 
 
 def made_with(method: str, condition: str) -> str:

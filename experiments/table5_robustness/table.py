@@ -64,13 +64,14 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
 
 
 def condition_line(name: str, rows: conditions.Rows) -> str | None:
-    """Return a line of the table; None for a remedy, which stands in the line of what it helps against."""
+    """Return a line of the table; None without rows, and for a remedy: its rows stand in another line."""
     if name in conditions.REMEDIES.values():
         return None
     helped = conditions.REMEDIES.get(name, name)
     corrected = "range_scale" in conditions.CONDITIONS[name].robot  # what the correction may break
     alone = [None if corrected else rows.get((method, name)) for method in ALONE]
-    return line(name, [*alone, *(rows.get((method, helped)) for method in METHODS)])
+    episodes = [*alone, *(rows.get((method, helped)) for method in METHODS)]
+    return line(name, episodes) if any(episodes) else None
 
 
 def fault_line(name: str, rows: faults.Rows) -> str:
