@@ -186,6 +186,7 @@ def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable
             process = subprocess.Popen(
                 [sys.executable, "-m", "eldenet.data.rendering"],
                 stdin=subprocess.PIPE, stdout=report, text=True, env=env,
+                start_new_session=True,  # a terminal's Ctrl-C is for this process, which ends them
             )  # fmt: skip
             processes.append(process)
             assert process.stdin is not None

@@ -72,7 +72,7 @@ class CommandServer:
             environment: what it has beside the server's.
             timeout: [s].
             interrupt_at: pattern of files below ``cwd``; ``number`` is sent once one of them is written.
-            number: Ctrl-C, or SIGKILL for the command and the processes that it started.
+            number: for the command and the processes that it started, as a terminal sends Ctrl-C.
             delay: from the file to the signal [s].
         """
         pattern = None if interrupt_at is None else str(cwd / interrupt_at)
@@ -146,7 +146,7 @@ def serve() -> None:
                     codes[child] = os.waitstatus_to_exitcode(status)
                 elif _last_written(job["interrupt_at"]) > start:
                     time.sleep(job["delay"])
-                    (os.killpg if job["number"] == signal.SIGKILL else os.kill)(child, job["number"])
+                    os.killpg(child, job["number"])
                     job["interrupt_at"] = None
             time.sleep(0.01)
         for child in children:

@@ -100,3 +100,11 @@ def test_ctrl_c_ends_the_command_with_status_130(model_folder: Path, tmp_path: P
     frames = len(read_video(tmp_path / "out/walk_depth.mp4")[0])
     assert 1 <= frames < 1500
     assert f"stopped by Ctrl-C: {frames} frame" in done.stdout
+
+
+def test_ctrl_c_ends_render_processes_without_their_tracebacks(tmp_path: Path, command_server) -> None:
+    rendered = "rooms/*/train.frames"
+    words = ("data=rooms", "data.root=rooms")
+    done = command_server.run("eldenet.check_data", words, tmp_path, interrupt_at=rendered, delay=2.0)
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
