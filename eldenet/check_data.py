@@ -94,11 +94,6 @@ def recognize_folder(folder: Path) -> bool:
             log.say(f"  {fact}")
         if len(found.readings) > 1:
             log.say("  one of these reads it; a distance that you know decides:")
-        elif any(reading.note for reading in found.readings):
-            log.say(
-                "  this reads it if a distance that you know agrees; 16-bit centimeters would be "
-                "'data.encoding={scale: 0.01, dtype: uint16}':"
-            )
         for reading in found.readings:
             log.say(f"  {reading.note}:" if reading.note else "  read by:")
             log.say(f"    {reading.line}")

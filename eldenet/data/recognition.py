@@ -312,7 +312,13 @@ def _describe(
         height, width = size_of_aspect(INPUT_SIZE, (size[0], size[1]))
         settings["input_size"] = f"[{32 * round(height / 32)},{32 * round(width / 32)}]"
     stated = stated_scale(folder / settings["csv"]) if "csv" in settings else None
-    for (note, unit), turn in product(_units(raws, stated), turns):
+    units = _units(raws, stated)
+    if len(units) == 1 and known and stated is None and raw.dtype == np.uint16:
+        found.facts.append(
+            "unit: guessed from the numbers; where a distance that you know disagrees, give another, such as "
+            "'data.encoding={scale: 0.01, dtype: uint16}' (centimeters)"
+        )
+    for (note, unit), turn in product(units, turns):
         chosen = settings | unit | turn
         words = [
             f"{'' if key == 'data' else 'data.'}{key}={_written(value)}" for key, value in chosen.items()
