@@ -189,7 +189,8 @@ class DepthNet(Configurable, nn.Module):
                 network that is loaded again computes in fp32.
 
         Raises:
-            ValueError: a part of the network is not :class:`Configurable`, or ``info`` holds other values.
+            ValueError: a part of the network is not :class:`Configurable`, ``info`` holds other values, or
+                fp16 cannot hold a parameter.
         """
         from safetensors.torch import save
 
@@ -212,6 +213,11 @@ class DepthNet(Configurable, nn.Module):
             name: (value.half() if name in parameters else value).detach().cpu().contiguous()
             for name, value in self.state_dict().items()
         }
+        lost = [name for name in sorted(parameters) if not state[name].isfinite().all()]
+        if lost:
+            raise ValueError(
+                f"half=True: {lost[0]} has values beyond 65504, the largest of fp16; give half=False"
+            )
         folder = Path(folder)
         weights = save(state, metadata={"format": "pt"})
         write_bytes(folder / WEIGHTS_NAME, weights)

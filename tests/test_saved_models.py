@@ -79,6 +79,10 @@ def test_half_the_bytes_hold_the_parameters_and_the_exact_statistics(tmp_path: P
     back.save_pretrained(tmp_path / "again", half=True)
     first, second = ((tmp_path / name / "config.json").read_bytes() for name in ("half", "again"))
     assert first == second
+    torch.nn.init.constant_(next(model.parameters()), 1e5)
+    with pytest.raises(ValueError, match=r"half=True: .* beyond 65504"):
+        model.save_pretrained(tmp_path / "large", half=True)
+    assert not (tmp_path / "large").exists()
 
 
 def test_a_run_folder_loads_with_its_info(tmp_path: Path) -> None:

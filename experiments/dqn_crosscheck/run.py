@@ -26,7 +26,6 @@ from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import frozen_arenas
 from eldenet.results.run_record import environment
 
-HERE = Path(__file__).parent
 ROBOTS = 16
 
 
