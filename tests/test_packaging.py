@@ -99,7 +99,7 @@ def test_the_installed_wheel_predicts_with_what_it_brings(installed, tmp_path):
     command, function = (
         read_depth(tmp_path / folder / "example_depth.png", "mm") for folder in ("out", "python")
     )
-    np.testing.assert_allclose(function, command, atol=2e-3)  # threads add up in another order
+    np.testing.assert_allclose(function, command, atol=1e-2)  # threads add up in another order
     ran = in_fresh([installed / "eldenet", "train", "--cfg", "job"], tmp_path)
     assert "eldenet.backbones.pplcnet.PPLCNet" in ran.stdout
 
