@@ -99,7 +99,9 @@ def test_the_installed_wheel_predicts_with_what_it_brings(installed, tmp_path):
     command, function = (
         read_depth(tmp_path / folder / "example_depth.png", "mm") for folder in ("out", "python")
     )
-    np.testing.assert_allclose(function, command, atol=1e-2)  # threads add up in another order
+    apart = np.abs(function - command)  # threads add up in another order: a sharpened edge may move
+    assert apart.max() < 1e-2
+    assert (apart > 2e-3).mean() < 1e-4
     ran = in_fresh([installed / "eldenet", "train", "--cfg", "job"], tmp_path)
     assert "eldenet.backbones.pplcnet.PPLCNet" in ran.stdout
 
