@@ -129,7 +129,7 @@ def main() -> None:
     for name, dataset in sets.items():
         values = depth_statistics(dataset, 256)._asdict()
         lines.append(f"| {name} | " + " | ".join(f"{values[column]:.3f}" for column in COLUMNS) + " |")
-    Image.fromarray(contact_sheet(rooms)).save(HERE / "rooms.jpg", quality=90)
+    Image.fromarray(contact_sheet(rooms)).save(HERE / "rooms.jpg", quality=80)
     print("\n".join(lines))
 
 
