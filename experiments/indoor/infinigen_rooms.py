@@ -75,7 +75,6 @@ def limit() -> None:
 
 def render_room(seed: int, folder: Path) -> None:
     """Build the room of a seed and write its views."""
-    os.environ["OPENCV_IO_ENABLE_OPENEXR"] = "1"
     os.environ["INFINIGEN_CYCLES_DEVICE_TYPE"] = "CPU"
     import bpy
     import procfunc
