@@ -110,7 +110,7 @@ def measure_cost(
     with eval_mode(model), torch.inference_mode(), Waiting() as waiting:
         times = time_interleaved(
             {"one": lambda: model(one), "many": lambda: model(many)},
-            seconds=seconds / 5,
+            seconds=seconds / 5,  # five rounds
             synchronize=torch.cuda.synchronize if device.type == "cuda" else None,
         )
     macs = count_macs(model, size)

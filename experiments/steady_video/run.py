@@ -56,7 +56,7 @@ class Walk(NamedTuple):
     level: np.ndarray
 
 
-def render_walk(split: str, index: int, size: tuple[int, int] = (192, 256), frames: int = 45) -> Views:
+def render_walk(split: str, index: int, size: tuple[int, int] = (192, 256), frames: int = FRAMES) -> Views:
     """Render a walk through room ``index`` of a split, at 15 frames per second.
 
     The camera starts as in :func:`~eldenet.simulation.furnished_rooms.render.render_room`. It stands for a
@@ -141,7 +141,7 @@ def compare(model: str) -> list[str]:
     predictor = eldenet.DepthPredictor(eldenet.load(model), steady=False)
     alone, steady = [], []
     for index in range(WALKS):
-        views = render_walk("test", index, frames=FRAMES)
+        views = render_walk("test", index)
         raw = np.stack([predict(predictor, frame, views) for frame in views.image])
         smooth = eldenet.DepthPredictor(predictor.model)
         alone.append(measure(views, raw))
