@@ -1,4 +1,7 @@
-"""Milliseconds a frame of the demo page in Chromium, fed by a fake webcam; or a screenshot of the page."""
+"""Milliseconds a frame of the demo page in Chromium, fed by a fake webcam; or a screenshot of the page.
+
+A measurement is added to those in the output.
+"""
 
 import argparse
 import json
@@ -24,6 +27,7 @@ def main() -> None:
     """Build the page once, and open it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("page", type=Path, help="folder that eldenet demo serve=false output=... wrote")
+    parser.add_argument("--output", type=Path, default=Path("experiments/browser/results.json"))
     parser.add_argument("--screenshot", type=Path, help="write a picture of the page instead")
     given = parser.parse_args()
     server = open_server(given.page, 0)
@@ -34,7 +38,10 @@ def main() -> None:
         if given.screenshot:
             screenshot(browser, address, given.screenshot)
         else:
-            print(json.dumps(measure(browser, address), indent=2))
+            found = measure(browser, address)
+            earlier = json.loads(given.output.read_text()) if given.output.exists() else []
+            given.output.write_text(json.dumps([*earlier, found], indent=2) + "\n")
+            print(json.dumps(found, indent=2))
         browser.close()
     server.shutdown()
 
