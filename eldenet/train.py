@@ -113,11 +113,12 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
     if s.runtime.get("workers") != 0:
         start_server()  # its imports go on beside this process's own
     from eldenet.evaluation.splits import chosen_protocol, open_splits
+    from eldenet.model import DepthNet
     from eldenet.results.fingerprints import fingerprints
-    from eldenet.results.score import score_best
+    from eldenet.results.score import score
     from eldenet.results.tables import closing_table
     from eldenet.training import notes
-    from eldenet.training.initialization import canonical_camera, check_loss, initial_model, model_info
+    from eldenet.training.initialization import canonical_camera, check_loss, initial_model, trained_sizes
     from eldenet.training.normalization import normalization, write_normalization
     from eldenet.training.trainer import TrainingData
 
@@ -155,7 +156,13 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
         folder,
         resources,
         ckpt_path=checkpoint,
-        info=model_info(s.model_name, s.seed, s.weights, s.data, protocol, splits.train),
+        info={
+            "model_name": s.model_name,
+            "seed": s.seed,
+            "data": s.data["name"],
+            "started_from": s.weights,
+            **trained_sizes(s.data["input_size"], protocol, splits.train),
+        },
         sources=fingerprints(settings),
     )
     trainer.accelerator.wait_for_everyone()
@@ -167,7 +174,9 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
             "teacher": dict(loss.signature),
             "overrides": list(overrides),
         }
-        record = score_best(settings, protocol, resources, log, facts, trusted)
+        # the best epoch, as anybody would load it
+        best = DepthNet.from_pretrained(folder / "model", trusted_modules=trusted)
+        record = score(best, settings, protocol, resources, log, facts=facts)
         closing_table(log, record)
         for note in notes.after(splits, trainer, record):
             log.say(note)

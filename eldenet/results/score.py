@@ -26,25 +26,6 @@ from eldenet.system.resources import Resources
 RENDERED_FOR_A_CONSTANT = 512  # frames: as many as a test split has
 
 
-def score_best(
-    settings: Mapping[str, Any],
-    protocol: EvalProtocol,
-    resources: Resources,
-    log: RunLog,
-    facts: Mapping[str, Any],
-    trusted_modules: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Score the best epoch of a training as anybody would load it; see :func:`score`."""
-    return score(
-        DepthNet.from_pretrained(Path(settings["output"], "model"), trusted_modules=trusted_modules),
-        settings,
-        protocol,
-        resources,
-        log,
-        facts=facts,
-    )
-
-
 def score(
     model: nn.Module,
     settings: Mapping[str, Any],

@@ -134,24 +134,6 @@ def _beside_new_channels(
     }
 
 
-def model_info(
-    name: str,
-    seed: int,
-    weights: str | None,
-    data: Mapping[str, Any],
-    protocol: EvalProtocol,
-    train_set: DepthDataset,
-) -> dict[str, Any]:
-    """Return the facts stored with the weights: their origin, and the sizes that they were trained at."""
-    return {
-        "model_name": name,
-        "seed": seed,
-        "data": data["name"],
-        "started_from": weights,
-        **trained_sizes(data["input_size"], protocol, train_set),
-    }
-
-
 def trained_sizes(
     input_size: Sequence[int] | None, protocol: EvalProtocol, train_set: DepthDataset
 ) -> dict[str, Any]:
