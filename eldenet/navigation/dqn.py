@@ -7,7 +7,6 @@ one-step targets the driver hardly learned at five decisions per second.
 """
 
 import copy
-import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from torch import Tensor, nn
 from eldenet.backbones.weights import read_torch
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.system.errors import reading
-from eldenet.system.files import write_bytes
+from eldenet.training.checkpoint import save_checkpoint
 
 CHECKPOINT = "dqn.pt"
 
@@ -239,9 +238,7 @@ class DQN:
             "num_timesteps": self.num_timesteps,
             "updates": self.updates,
         }
-        content = io.BytesIO()
-        torch.save(state, content)
-        write_bytes(path, content.getbuffer())
+        save_checkpoint(path, state)
 
     def restore(self, path: Path) -> None:
         """Load a checkpoint.

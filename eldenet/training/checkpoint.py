@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from eldenet.backbones.weights import read_torch
 from eldenet.results.fingerprints import differences
 from eldenet.system.errors import reading
 from eldenet.system.files import copy_file, parse_json, part_file
-from eldenet.training.resume import checkpoint_file
+from eldenet.training.resume import checkpoint_file, run_folder
 
 LAST, BEST = "last.pt", "best.pt"
 RESUME_ADVICE = "resume from another checkpoint, such as best.pt beside it, or train again"
@@ -86,7 +86,7 @@ class TrainingState:
 
     def refuse_broken(self) -> None:
         """Raise FloatingPointError where a weight is NaN or infinite."""
-        if not is_finite(self.model.state_dict()):
+        if not all(torch.isfinite(tensor).all() for tensor in self.model.state_dict().values()):
             raise FloatingPointError(
                 f"the weights are not finite at step {self.progress.step}; the last good "
                 "checkpoint was kept. Try a lower optimizer.lr or trainer.max_grad_norm=1"
@@ -174,7 +174,7 @@ def bring_best(source: Path, folder: Path, progress: Progress) -> None:
     Raises:
         FileNotFoundError: ``progress`` has a best epoch, but its weights are not beside ``source``.
     """
-    old = (source if source.is_dir() else source.parent.parent).resolve()
+    old = run_folder(source).resolve()
     if progress.best_epoch > 0 and not (old / "model").is_dir():
         raise FileNotFoundError(
             f"the best epoch so far is {progress.best_epoch}, but its weights are not in {old / 'model'}: "
@@ -213,9 +213,3 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
         if not isinstance(state, dict) or entry not in state:
             raise ValueError(f"{path} is not a training checkpoint of eldenet: it has no entry {entry!r}")
     return state
-
-
-def is_finite(tensors: Mapping[str, Tensor]) -> bool:
-    """Whether every floating tensor is free of NaN and infinity."""
-    floats = [tensor for tensor in tensors.values() if tensor.is_floating_point()]
-    return all(bool(torch.isfinite(tensor).all()) for tensor in floats)
