@@ -35,10 +35,12 @@ def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
     """
     slot = _slot_bytes(dataset)
     size = len(dataset) * slot
-    folder = default_cache() / "frames" / _folder_name(dataset, slot)
+    identity = _identity(dataset)
+    digest = digest_of(json.dumps([identity, slot], sort_keys=True))[:16]
+    folder = default_cache() / "frames" / f"{type(dataset).__name__}-{digest}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "about.json", json.dumps(_identity(dataset), indent=1))
+        write_text(folder / "about.json", json.dumps(identity, indent=1))
         cache = FrameCache(folder / "frames.bin", len(dataset), slot)
         held = (folder / "frames.bin").stat().st_blocks * 512
         free = shutil.disk_usage(folder).free
@@ -149,11 +151,6 @@ def _identity(dataset: "DepthDataset") -> dict[str, Any]:
         "code": [file_digest(file) for file in sources],
         "opencv": cv2.__version__,
     }
-
-
-def _folder_name(dataset: "DepthDataset", slot: int) -> str:
-    identity = json.dumps([_identity(dataset), slot], sort_keys=True)
-    return f"{type(dataset).__name__}-{digest_of(identity)[:16]}"
 
 
 def _gigabytes(size: int) -> str:

@@ -1,6 +1,5 @@
 """Augmentation of a camera frame: the only file that knows albumentations."""
 
-import os
 import random
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,6 +9,7 @@ import numpy as np
 from eldenet.data.resize_crop import check_same_size
 from eldenet.geometry import BORDER_COLOR
 from eldenet.system.checks import one_of
+from eldenet.system.resources import prepare_environment
 from eldenet.types import Frame
 
 IDENTITY = np.eye(2, 3)
@@ -108,7 +108,9 @@ class Augmentation:
                 f"scale={list(scale)}: give a range of zoom factors [low, high], 0.1 <= low <= high"
             )
 
-        A = _albumentations()
+        prepare_environment()  # without it, albumentations asks the network for a newer version
+        import albumentations as A
+
         self.geometry: list[Any] = [A.HorizontalFlip(p=flip)] if flip else []
         if affine:
             self.geometry.append(
@@ -214,14 +216,6 @@ def _drawn(
             parameters |= transform.get_params_dependent_on_data(parameters, any_image)
             drawn.append((transform, parameters))
     return drawn
-
-
-def _albumentations() -> Any:
-    """Import albumentations without its network request for a newer version."""
-    os.environ.setdefault("NO_ALBUMENTATIONS_UPDATE", "1")
-    import albumentations
-
-    return albumentations
 
 
 def _affine_through(before: np.ndarray, after: np.ndarray) -> np.ndarray:
