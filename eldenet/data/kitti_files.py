@@ -15,6 +15,7 @@ from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import read_depth, read_image
 from eldenet.data.kitti_calibration import CAM_TO_CAM, rectified_intrinsics
 from eldenet.system.checks import one_of
+from eldenet.system.errors import some_of
 from eldenet.system.files import read_text
 from eldenet.types import Frame
 
@@ -202,11 +203,10 @@ def refuse_missing_drives(
     missing = sorted(drives - found)
     if not missing or len(places) - len(whole) <= 10:
         return
-    more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
     raise FileNotFoundError(
-        f"{root} lacks pictures or depth of {len(missing)} of {len(drives)} drives "
-        f"({', '.join(missing[:10])}{more}): {len(whole)} of {len(places)} frames are left. Fetch these "
-        "drives, or take the frames that are left (data.on_error=skip)"
+        f"{root} lacks pictures or depth of {len(missing)} of {len(drives)} drives ({some_of(missing)}): "
+        f"{len(whole)} of {len(places)} frames are left. Fetch these drives, or take the frames that are "
+        "left (data.on_error=skip)"
     )
 
 

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from eldenet.system.errors import reading, warn_once
+from eldenet.system.errors import reading, some_of, warn_once
 from eldenet.system.files import read_text
 
 VARIABLE = "ELDENET_DATA"
@@ -137,10 +137,9 @@ def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
     """
     missing = [str(root / file) for file in missing_files(root, files)]
     if missing:
-        more = f" and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise FileNotFoundError(
-            f"{len(missing)} of {len(files)} files are missing: {', '.join(missing[:10])}{more}. Complete "
-            f"the data set{advice}, or leave these frames out (on_error: skip)"
+            f"{len(missing)} of {len(files)} files are missing: {some_of(missing)}. Complete the data set"
+            f"{advice}, or leave these frames out (on_error: skip)"
         )
 
 

@@ -22,6 +22,7 @@ from eldenet.data.frame_lists import read_frame_list
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.data.paths import as_on_disk, composed
 from eldenet.system.checks import one_of
+from eldenet.system.errors import some_of
 
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
 logger = logging.getLogger("eldenet")
@@ -145,7 +146,7 @@ class Layout:
             lonely += [f"{maps[k]} (no picture in {self.images})" for k in alone]
             if lonely and strict:
                 raise FileNotFoundError(
-                    f"{len(lonely)} files in {root} have no partner: {_some(lonely)}. Add them, list "
+                    f"{len(lonely)} files in {root} have no partner: {some_of(lonely)}. Add them, list "
                     "pairs of different names in a CSV (csv=...), or leave these frames out (on_error: skip)"
                 )
             both = [*pictures, *alone]
@@ -211,17 +212,13 @@ class Layout:
         unused = sorted(set(found) - set(pairs.values()))
         if lonely and strict:
             raise FileNotFoundError(
-                f"{len(lonely)} of {len(keys)} frames have no {setting} in {root / place}: {_some(lonely)}. "
-                "Add them, or leave these frames out (on_error: skip)"
+                f"{len(lonely)} of {len(keys)} frames have no {setting} in {root / place}: "
+                f"{some_of(lonely)}. Add them, or leave these frames out (on_error: skip)"
             )
         if unused and strict and setting == "confidence" and self.by == "name" and not self.csv:
             files_alone = [found[key] for key in unused]
             raise FileNotFoundError(
-                f"{len(unused)} confidence maps in {root} have no depth map: {_some(files_alone)}. Add the "
+                f"{len(unused)} confidence maps in {root} have no depth map: {some_of(files_alone)}. Add the "
                 "depth maps, or remove these"
             )
         return files | {name: expected_file(place, keys[name]) for name in lonely}
-
-
-def _some(entries: Sequence[str]) -> str:
-    return ", ".join(entries[:10]) + (f" and {len(entries) - 10} more" if len(entries) > 10 else "")

@@ -26,6 +26,7 @@ from eldenet.results.tables import (
     to_latex,
     to_markdown,
 )
+from eldenet.system.errors import some_of
 from eldenet.system.files import write_rows, write_text
 
 # equal in all runs of a table: of its metrics, and of its costs
@@ -289,9 +290,5 @@ def constant_rows(runs: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> 
             models.setdefault(shown, []).append(str(run["model"]))
     if len(models) == 1:
         return [("constant predictor", list(shown)) for shown in models]
-    labels = (f"constant predictor of {_few(list(dict.fromkeys(names)))}" for names in models.values())
+    labels = (f"constant predictor of {some_of(list(dict.fromkeys(names)), 3)}" for names in models.values())
     return [(label, list(shown)) for label, shown in zip(labels, models, strict=True)]
-
-
-def _few(names: Sequence[str], shown: int = 3) -> str:
-    return ", ".join(names[:shown]) + (f" and {len(names) - shown} more" if len(names) > shown else "")

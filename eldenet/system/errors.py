@@ -4,7 +4,7 @@ import errno
 import logging
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -70,6 +70,12 @@ def writing(folder: Path, what: str) -> Iterator[None]:
 def warn_once(line: str) -> None:
     """Warn in one line, and say the same line only once."""
     logging.getLogger("eldenet").warning("%s", line)
+
+
+def some_of(entries: Sequence[str], most: int = 10) -> str:
+    """Return the first entries in words: "a, b and 3 more"."""
+    more = f" and {len(entries) - most} more" if len(entries) > most else ""
+    return ", ".join(entries[:most]) + more
 
 
 def first_line(error: BaseException) -> str:
