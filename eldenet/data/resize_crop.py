@@ -1,6 +1,7 @@
 """Cut out, resize and crop a camera frame: image, depth and intrinsics together."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from eldenet.geometry import crop_corner, crop_intrinsics
 from eldenet.types import Frame
 
 
+@dataclass(frozen=True, kw_only=True)
 class ResizeCrop:
     """Cut out a box, resize (bilinear), crop and resize again: what a protocol does to a frame.
 
@@ -27,19 +29,13 @@ class ResizeCrop:
         keep_depth: leave depth whole, because the prediction will be pasted into the frame; only for a crop.
     """
 
-    def __init__(
-        self,
-        *,
-        box: Sequence[int] | None = None,
-        resize: float | Sequence[int] | None = None,
-        crop: Sequence[int] | None = None,
-        anchor: str = "center",
-        size: Sequence[int] | None = None,
-        sparse: bool = False,
-        keep_depth: bool = False,
-    ) -> None:
-        self.box, self.resize, self.crop, self.size = box, resize, crop, size
-        self.anchor, self.sparse, self.keep_depth = anchor, sparse, keep_depth
+    box: Sequence[int] | None = None
+    resize: float | Sequence[int] | None = None
+    crop: Sequence[int] | None = None
+    anchor: str = "center"
+    size: Sequence[int] | None = None
+    sparse: bool = False
+    keep_depth: bool = False
 
     def __call__(self, frame: Frame, generator: np.random.Generator | None = None) -> Frame:
         """Transform one frame; nothing here is random.

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -29,6 +29,7 @@ _SPARSE = 0.25  # of the pixels: a map of which fewer are known is a LiDAR's
 _MAX_MEDIAN_DEPTH = 100.0  # [m]: beyond, the depth is probably in millimeters
 
 
+@dataclass(eq=False)
 class BoxLifter:
     """``(depth, detections, camera) -> Boxes3D``.
 
@@ -67,26 +68,22 @@ class BoxLifter:
         ValueError: unknown method, or a number out of range.
     """
 
-    def __init__(
-        self,
-        method: Method = "refine",
-        *,
-        priors: Mapping[str, ClassPrior] = PRIORS,
-        ground: Literal["fit"] | GroundPlane | None = "fit",
-        camera_height: float | None = None,
-        depth_sigma: float | None = None,
-        small_sigma: float | None = None,
-        occlusion_mask: bool = True,
-    ) -> None:
-        one_of("method", method, METHODS)
-        if camera_height is not None:
-            flat_ground(camera_height)  # refuses another unit
-        for name, sigma in (("depth_sigma", depth_sigma), ("small_sigma", small_sigma)):
+    method: Method = "refine"
+    _: KW_ONLY
+    priors: Mapping[str, ClassPrior] = field(default_factory=lambda: PRIORS)
+    ground: Literal["fit"] | GroundPlane | None = "fit"
+    camera_height: float | None = None
+    depth_sigma: float | None = None
+    small_sigma: float | None = None
+    occlusion_mask: bool = True
+
+    def __post_init__(self) -> None:
+        one_of("method", self.method, METHODS)
+        if self.camera_height is not None:
+            flat_ground(self.camera_height)  # refuses another unit
+        for name, sigma in (("depth_sigma", self.depth_sigma), ("small_sigma", self.small_sigma)):
             if sigma is not None and not 0 < sigma < 1:
                 raise ValueError(f"{name}={sigma}: give a relative error above 0 and below 1, such as 0.08")
-        self.method, self.priors, self.ground = method, priors, ground
-        self.camera_height, self.depth_sigma, self.small_sigma = camera_height, depth_sigma, small_sigma
-        self.occlusion_mask = occlusion_mask
 
     def sigma_of(self, depth: np.ndarray) -> tuple[float, float | None]:
         """``depth_sigma`` and ``small_sigma`` for a map ``(H, W)`` [m] without sigma."""

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +99,7 @@ class Scene:
         log_boxes(rr.log, self.boxes, path)
 
 
+@dataclass(eq=False)
 class Perception:
     """``perception(image) -> Scene``.
 
@@ -112,17 +113,12 @@ class Perception:
         tracker: gives the boxes of a video identities and velocities; None: each image on its own.
     """
 
-    def __init__(
-        self,
-        depth_model: Callable[[np.ndarray], Any] | None,
-        detector: Detector,
-        lifter: BoxLifter,
-        camera: PinholeCamera | None,
-        *,
-        tracker: BoxTracker | None = None,
-    ) -> None:
-        self.depth_model, self.detector, self.lifter = depth_model, detector, lifter
-        self.camera, self.tracker = camera, tracker
+    depth_model: Callable[[np.ndarray], Any] | None
+    detector: Detector
+    lifter: BoxLifter
+    camera: PinholeCamera | None
+    _: KW_ONLY
+    tracker: BoxTracker | None = None
 
     def __call__(
         self,

@@ -56,6 +56,7 @@ class Track:
     xyxy_speed: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
 
+@dataclass(eq=False, kw_only=True)
 class BoxTracker:
     """``tracker(boxes, seconds, xyxy) -> Boxes3D`` with identities and velocities.
 
@@ -74,20 +75,15 @@ class BoxTracker:
         still_camera: the frame of the boxes stands still. False: yaw stays known modulo pi.
     """
 
-    def __init__(
-        self,
-        *,
-        max_distance: float = 3.0,
-        min_hits: int = 2,
-        max_age: int = 5,
-        position_sigma: float = 0.3,
-        acceleration: float = 2.0,
-        report_unseen: bool = False,
-        still_camera: bool = False,
-    ) -> None:
-        self.max_distance, self.min_hits, self.max_age = max_distance, min_hits, max_age
-        self.position_sigma, self.acceleration = position_sigma, acceleration
-        self.report_unseen, self.still_camera = report_unseen, still_camera
+    max_distance: float = 3.0
+    min_hits: int = 2
+    max_age: int = 5
+    position_sigma: float = 0.3
+    acceleration: float = 2.0
+    report_unseen: bool = False
+    still_camera: bool = False
+
+    def __post_init__(self) -> None:
         self.tracks: list[Track] = []
         self._last_number = 0
         self._frames = 0
