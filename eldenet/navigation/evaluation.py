@@ -1,8 +1,7 @@
 """Run a driver through a fixed set of arenas and summarize: success, collision, time-out, time, path."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,7 +11,6 @@ from eldenet.navigation.observer import Senses
 from eldenet.navigation.planners.paths import optimal_length
 from eldenet.navigation.sensors import Sensor
 from eldenet.simulation.arenas import Arena
-from eldenet.system.files import read_table, write_rows
 
 
 class Policy(Protocol):
@@ -49,7 +47,6 @@ class Episode:
     shortest: float
 
 
-EPISODE_COLUMNS = ("world", "outcome", "seconds", "travelled", "shortest")
 OUTCOMES = {Event.GOAL: "success", Event.COLLISION: "collision", Event.TIMEOUT: "timeout"}
 
 
@@ -142,64 +139,10 @@ def summarize(rows: Sequence[Episode]) -> dict[str, Any]:
     }
 
 
-def read_episodes(file: Path, labels: Sequence[str]) -> dict[tuple[str, ...], list[Episode]]:
-    """Return what :func:`write_episodes` wrote; nothing where there is no file.
-
-    Raises:
-        ValueError: the file is damaged.
-    """
-    out: dict[tuple[str, ...], list[Episode]] = {}
-    for line in read_table(file, [*labels, *EPISODE_COLUMNS]) if file.is_file() else []:
-        density = int(line["world"].split("-")[-2].partition("+")[0])  # of "test-20+10-7", 20
-        lengths = (float(line[name]) for name in EPISODE_COLUMNS[2:])
-        key = tuple(line[name] for name in labels)
-        out.setdefault(key, []).append(Episode(line["world"], density, line["outcome"], *lengths))
-    return out
-
-
-def write_episodes(
-    file: Path, labels: Sequence[str], rows: Mapping[tuple[Any, ...], Sequence[Episode]]
-) -> None:
-    """Write the episodes of several rows of a table as CSV; ``labels`` are the columns that name a row."""
-    lines = [
-        [*key, *(getattr(episode, name) for name in EPISODE_COLUMNS)]
-        for key, episodes in rows.items()
-        for episode in episodes
-    ]
-    write_rows(file, [*labels, *EPISODE_COLUMNS], lines)
-
-
-def solved_by_all(tables: Sequence[Sequence[Episode]]) -> np.ndarray:
-    """Mask of the arenas that every method solved ``(arenas,)`` bool.
-
-    Raises:
-        ValueError: the tables are from different arenas.
-    """
-    names = [[row.world for row in table] for table in tables]
-    if any(other != names[0] for other in names[1:]):
-        raise ValueError("the tables are from different arenas: compare times on the same arenas only")
-    return np.all([[row.outcome == "success" for row in table] for table in tables], axis=0)
-
-
 def as_rows(rows: Sequence[Any], without: Sequence[str] = ()) -> tuple[list[str], list[list[Any]]]:
     """Header and rows of a list of dataclasses, for :func:`eldenet.system.files.write_rows`."""
     names = [name for name in vars(rows[0]) if name not in without]
     return names, [[getattr(row, name) for name in names] for row in rows]
-
-
-def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int, float]:
-    """Exact paired test of two methods on the same arenas: McNemar, Psychometrika 1947.
-
-    Returns:
-        Arenas that only the first solved, arenas that only the second solved, and the two-sided p-value.
-    """
-    from scipy.stats import binomtest
-
-    a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
-    only_first, only_second = int((a & ~b).sum()), int((b & ~a).sum())
-    if only_first + only_second == 0:
-        return 0, 0, 1.0
-    return only_first, only_second, float(binomtest(only_first, only_first + only_second).pvalue)
 
 
 def spl(success: np.ndarray, length: np.ndarray, shortest: np.ndarray) -> float:

@@ -20,14 +20,7 @@ prepare_environment()
 import torch  # noqa: E402
 
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import (  # noqa: E402
-    Episode,
-    mcnemar,
-    read_episodes,
-    run_episodes,
-    summarize,
-    write_episodes,
-)
+from eldenet.navigation.evaluation import Episode, run_episodes, summarize  # noqa: E402
 from eldenet.navigation.latency import Predictive  # noqa: E402
 from eldenet.navigation.planners.astar import CARROT, AStarDWA, AStarOnlineDWA  # noqa: E402
 from eldenet.navigation.planners.dwa import DWA_VERSION  # noqa: E402
@@ -40,6 +33,9 @@ from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parent / "table5_success"))
+from episodes import mcnemar, read_episodes, write_episodes  # noqa: E402
+
 FRESH = 500  # index of the first test arena that no driver had crossed before
 
 

@@ -21,14 +21,7 @@ import torch  # noqa: E402
 
 from eldenet.navigation.cameras import FACES_VERSION, camera, depth_camera, objects  # noqa: E402
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import (  # noqa: E402
-    Episode,
-    mcnemar,
-    read_episodes,
-    run_episodes,
-    summarize,
-    write_episodes,
-)
+from eldenet.navigation.evaluation import Episode, run_episodes, summarize  # noqa: E402
 from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.range_filter import FILTER_VERSION  # noqa: E402
@@ -38,6 +31,9 @@ from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.weights import located  # noqa: E402
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parent / "table5_success"))
+from episodes import mcnemar, read_episodes, write_episodes  # noqa: E402
+
 DEPTH = "eldenet_arenas"
 SENSORS = (
     "true ranges",

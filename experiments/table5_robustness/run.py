@@ -17,20 +17,16 @@ prepare_environment()
 import torch  # noqa: E402
 
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import (  # noqa: E402
-    Episode,
-    mcnemar,
-    read_episodes,
-    run_episodes,
-    summarize,
-    write_episodes,
-)
+from eldenet.navigation.evaluation import Episode, run_episodes, summarize  # noqa: E402
 from eldenet.navigation.range_filter import FILTER_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parent / "table5_success"))
+from episodes import mcnemar, read_episodes, write_episodes  # noqa: E402
+
 sys.path.insert(0, str(HERE))
 
 from conditions import METHODS, VERSIONS  # noqa: E402

@@ -1,9 +1,10 @@
 """Compare methods, and sensors, on the same worlds."""
 
 import numpy as np
+from episodes import mcnemar
 
 from eldenet.evaluation.bootstrap import bootstrap_interval
-from eldenet.navigation.evaluation import Episode, mcnemar
+from eldenet.navigation.evaluation import Episode
 
 # (physics, sensor, method, course) -> episodes of every training
 Tables = dict[tuple[str, str, str, str], list[list[Episode]]]

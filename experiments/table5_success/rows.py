@@ -12,20 +12,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from episodes import read_episodes, write_episodes
 from filelock import FileLock
 from inputs import digest, input_hashes, make_sensor, trained_policy
 from methods import LEARNED, PLANNERS
 
 from eldenet.navigation.cameras import FACES_VERSION
 from eldenet.navigation.episodes import EpisodeSettings
-from eldenet.navigation.evaluation import (
-    Episode,
-    Policy,
-    read_episodes,
-    run_episodes,
-    to_goal,
-    write_episodes,
-)
+from eldenet.navigation.evaluation import Episode, Policy, run_episodes, to_goal
 from eldenet.navigation.planners.dwa import DWA_VERSION
 from eldenet.navigation.planners.paths import SHORTEST_VERSION
 from eldenet.navigation.planners.plan_and_steer import STEER_VERSION

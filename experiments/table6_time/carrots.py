@@ -21,17 +21,11 @@ sys.path.insert(0, str(HERE.parent / "table5_success"))
 
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
+from episodes import read_episodes, solved_by_all, write_episodes  # noqa: E402
 from methods import PLANNERS  # noqa: E402
 
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import (  # noqa: E402
-    Episode,
-    read_episodes,
-    run_episodes,
-    solved_by_all,
-    summarize,
-    write_episodes,
-)
+from eldenet.navigation.evaluation import Episode, run_episodes, summarize  # noqa: E402
 from eldenet.navigation.planners.dwa import DWA_VERSION  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.sensors import Ranges  # noqa: E402

@@ -27,11 +27,12 @@ from command import (  # noqa: E402
     without_nan,
     write_table,
 )
+from episodes import solved_by_all  # noqa: E402
 from inputs import fed_by  # noqa: E402
 from rows import measure  # noqa: E402
 
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
-from eldenet.navigation.evaluation import Episode, solved_by_all  # noqa: E402
+from eldenet.navigation.evaluation import Episode  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 
 # (physics, sensor, course) -> method -> episodes of every training

@@ -7,6 +7,7 @@ Network, depth and driver are the same in both rows. Writes every episode to ``a
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 from eldenet.system.resources import prepare_environment
@@ -20,7 +21,7 @@ import eldenet  # noqa: E402
 from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.navigation.cameras import Camera  # noqa: E402
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
-from eldenet.navigation.evaluation import mcnemar, run_episodes  # noqa: E402
+from eldenet.navigation.evaluation import run_episodes  # noqa: E402
 from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
@@ -28,6 +29,9 @@ from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parent / "table5_success"))
+from episodes import mcnemar  # noqa: E402
+
 COLUMNS = ("version", "density", "sigma", "number", "world", "outcome", "seconds")
 PART = 20  # arenas driven before what is there is written
 

@@ -53,3 +53,26 @@ def test_time_is_compared_over_all_trainings_in_pairs(study, monkeypatch):
     assert both == 39
     assert run.ratio_to_reference(made, "astar_dwa")[:3] == (1.0, 1.0, 1.0)
     assert run.cell(float("nan"), float("nan"), 0.0, 0.0) == "-"
+
+
+def test_paired_tests_agree_with_scipy(study):
+    from scipy.stats import binomtest
+
+    mcnemar = study("episodes").mcnemar
+    a = [True] * 60 + [False] * 40
+    b = [True] * 50 + [False] * 10 + [True] * 2 + [False] * 38
+    first, second, p = mcnemar(a, b)
+    assert (first, second) == (10, 2)
+    assert p == pytest.approx(binomtest(10, 12).pvalue)
+    assert mcnemar(a, a) == (0, 0, 1.0)
+
+
+def test_times_are_compared_on_arenas_that_all_methods_solved(study):
+    def table(*outcomes):
+        return [Episode(f"w{k}", 5, outcome, 10.0, 10.0, 9.0) for k, outcome in enumerate(outcomes)]
+
+    solved_by_all = study("episodes").solved_by_all
+    both = solved_by_all([table("success", "success", "timeout"), table("success", "collision", "success")])
+    assert both.tolist() == [True, False, False]
+    with pytest.raises(ValueError, match="different arenas"):
+        solved_by_all([table("success"), table("success", "success")])

@@ -3,7 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
-MODULES = ("rows", "command", "methods", "inputs", "comparisons", "run", "trajectories")
+MODULES = ("rows", "command", "methods", "inputs", "comparisons", "episodes", "run", "trajectories")
 FOLDER = Path(__file__).parents[2] / "experiments" / "table5_success"
 
 
