@@ -66,11 +66,6 @@ class PyramidPooling(nn.Module):
 
     ``(B, in_channels, H, W) -> (B, out_channels, H, W)``. The largest window is the whole map, so training
     needs batches of two images or more.
-
-    Args:
-        in_channels: channels in.
-        branch_channels: channels of each window's branch.
-        out_channels: channels out.
     """
 
     def __init__(self, in_channels: int, branch_channels: int, out_channels: int) -> None:
@@ -99,9 +94,6 @@ class DDRNet(nn.Module):
 
     Convention: convolutions before a normalization have no bias (those of the published stem have one, which
     the normalization cancels).
-
-    Args:
-        out_channels: channels of the output.
     """
 
     def __init__(self, out_channels: int) -> None:

@@ -17,12 +17,7 @@ SIZES = {"full": (64, 32, 16), "small": (32, 8, 4)}
 
 
 class GuidedUpsampling(nn.Module):
-    """The guided upsampling block: weighted features of depth and image are added to the depth features.
-
-    Args:
-        channels: channels of the depth features.
-        out_channels: channels out.
-    """
+    """The guided upsampling block: weighted features of depth and image are added to the depth features."""
 
     def __init__(self, channels: int, out_channels: int) -> None:
         super().__init__()

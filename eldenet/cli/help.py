@@ -56,12 +56,7 @@ QUOTES = (
 
 
 def help_template(settings: type, about: str) -> str:
-    """Return Hydra's help template of a command: what it does, its settings with comments, all choices.
-
-    Args:
-        settings: the command's dataclass.
-        about: what the command does, with examples.
-    """
+    """Return Hydra's help template of a command: what it does, its settings with comments, all choices."""
     config_name, shown = command_of(settings), settings_help(settings)
     listed = "\n".join(
         fill(f"{group}: {', '.join(names)}", shutil.get_terminal_size().columns, subsequent_indent="  ")

@@ -177,11 +177,7 @@ def quiet() -> Iterator[None]:
 
 
 class SigmaNet(nn.Module):
-    """Depth and standard deviation as two outputs.
-
-    Args:
-        model: with a head that predicts its sigma.
-    """
+    """Depth and standard deviation of a model that predicts its sigma, as two outputs."""
 
     def __init__(self, model: DepthNet) -> None:
         super().__init__()

@@ -27,9 +27,7 @@ class ConstantPredictor(nn.Module):
 def fit_constant_predictor(dataset: DepthDataset, *, frames: int = 512) -> ConstantPredictor:
     """Average the known depth, pixel by pixel, of up to ``frames`` training frames spread over the set.
 
-    Args:
-        dataset: must not augment.
-        frames: at most.
+    The data set must not augment.
 
     Raises:
         ValueError: the depth maps differ in size.

@@ -127,12 +127,6 @@ FIXED = Randomization()  # every episode has the same robot
 class Episodes:
     """``count`` robots that drive at the same time.
 
-    Args:
-        count: number of robots.
-        sensor: of all robots.
-        settings: of all episodes.
-        randomization: what differs between episodes.
-
     Attributes:
         worlds: one per slot.
         observations: last scan of each slot.

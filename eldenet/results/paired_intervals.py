@@ -64,11 +64,7 @@ class Difference:
 
 
 def per_image(runs: Mapping[str, Mapping[str, Any]], metric: str) -> Scores:
-    """``metric`` of every image in each run.
-
-    Args:
-        runs: packed records by name, which messages have.
-        metric: its name.
+    """``metric`` of every image in each of the packed ``runs``, by name.
 
     Raises:
         ValueError: a metric is missing or cannot be, or the runs scored different images.

@@ -15,13 +15,7 @@ END = 90.0  # [m] of the street
 
 
 class StreetFurniture:
-    """Adds what stands along a street to a body.
-
-    Args:
-        draw: of the street's details.
-        materials: of the street.
-        body: that takes the geoms.
-    """
+    """Adds what stands along a street to a body."""
 
     def __init__(self, draw: Draw, materials: Materials, body: Body) -> None:
         self.d, self.m, self.b = draw, materials, body

@@ -148,10 +148,6 @@ def _without_nan(value: Any) -> Any:
 def shipped_folder(name: str, file: str) -> Path:
     """Return a folder that comes with eldenet: beside the package in a checkout, in the package in a wheel.
 
-    Args:
-        name: of the folder.
-        file: that it holds.
-
     Raises:
         FileNotFoundError: there is none.
     """

@@ -95,11 +95,6 @@ class TrainingState:
     def restore(self, path: Path, *, epochs: int, batches: int) -> str:
         """Load everything from a checkpoint file or run folder.
 
-        Args:
-            path: of it.
-            epochs: of the training.
-            batches: of an epoch.
-
         Returns:
             A note for the user where the result may differ in the last digits; else "".
 
