@@ -79,9 +79,7 @@ def register(settings: type) -> None:
 def to_settings(config: DictConfig, **changes: Any) -> Any:
     """Return an instance of the dataclass that a config was composed for, with resolved, plain values.
 
-    Args:
-        config: composed; a section ``hydra`` is left out.
-        changes: values instead of the config's.
+    ``changes`` replace values of the config; a section ``hydra`` is left out.
 
     Raises:
         ValueError: a setting is missing or unknown, or the dataclass refuses a value.

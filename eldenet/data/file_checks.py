@@ -205,12 +205,7 @@ _HARMLESS = re.compile(r".*: \d extraneous byte")
 
 
 def decode_picture(content: bytes, flags: int) -> tuple[np.ndarray | None, str]:
-    """Return the picture as OpenCV decodes it (BGR), and what is wrong with it, or "".
-
-    Args:
-        content: of the file.
-        flags: of ``cv2.imdecode``.
-    """
+    """Return a file's picture as ``cv2.imdecode`` does with ``flags`` (BGR), and what is wrong, or ""."""
     import cv2
 
     if is_heif(content):

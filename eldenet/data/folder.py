@@ -237,10 +237,7 @@ def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) ->
 def val_scenes(scenes: Sequence[str], fraction: float, seed: int) -> list[int]:
     """Return the numbers of frames for validation, whole scenes; none if there are not several scenes.
 
-    Args:
-        scenes: of each frame, "" if not known.
-        fraction: share of the scenes for validation.
-        seed: decides which scenes are for validation.
+    ``scenes`` are those of each frame, "" if not known; whole ones are drawn by ``seed``.
     """
     kinds = sorted(set(scenes), key=natural_order)
     if len(kinds) < 2 or not 0.0 < fraction < 1.0:

@@ -38,10 +38,6 @@ def hold_out(names: Sequence[str], split: str) -> list[int]:
     layouts of one data set hold out the same scenes. If that leaves one side empty (few scenes), the scene
     nearest to the threshold changes sides.
 
-    Args:
-        names: of the frames.
-        split: "train", "val" or anything else.
-
     Raises:
         ValueError: there is only one scene to split.
     """

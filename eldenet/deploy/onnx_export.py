@@ -128,10 +128,7 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
     what comes before the second convolution: eight bits of the normalized picture cost the most accuracy
     (``experiments/bench``).
 
-    Args:
-        source: fp32 file from :func:`write_onnx`.
-        path: of the new file.
-        inputs: calibration batches, as the graph takes them.
+    ``inputs`` are calibration batches, as the graph takes them.
     """
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
     from onnxruntime.quantization.shape_inference import quant_pre_process

@@ -269,10 +269,6 @@ def in_time(add: Callable[[np.ndarray], None], per_second: float) -> Callable[[n
 
     A frame stays until the time of the next, so that the video of a camera that dropped frames plays in real
     time. Of two frames within one of the video's frames the first is shown.
-
-    Args:
-        add: from :func:`open_video`.
-        per_second: frames of the video.
     """
     latest: np.ndarray | None = None
     start, written = 0.0, 0

@@ -41,12 +41,8 @@ def open_splits(
 ) -> Splits:
     """Open all parts of a data set and check that they can be scored: better now than after a training.
 
-    Args:
-        data: settings of the data set, as ``configs/data`` holds them.
-        protocol: of validation and test.
-        augmentation: settings of the training frames' augmentation.
-        seed: of the augmentation.
-        labeled: whether the training frames need a known depth.
+    ``data`` are its settings, as ``configs/data`` holds them; with ``labeled``, training frames need a known
+    depth.
 
     Raises:
         ValueError: the protocol does not fit the frames, or no pixel of a part is known.
@@ -151,9 +147,7 @@ def _refuse_unknown(frames: DepthDataset, protocol: EvalProtocol, *, scored: boo
 def frame_geometry(protocol: EvalProtocol, *, keep_depth: bool = False) -> ResizeCrop:
     """Return the transform that boxes, resizes and crops a frame as ``protocol`` says.
 
-    Args:
-        protocol: the rules.
-        keep_depth: leave depth whole, see :class:`~eldenet.data.resize_crop.ResizeCrop`.
+    ``keep_depth`` is that of :class:`~eldenet.data.resize_crop.ResizeCrop`.
     """
     return ResizeCrop(
         box=protocol.frame_box,

@@ -211,9 +211,7 @@ class Centers(SimulatedSensor):
     center beside the view counts in the outermost column. For ``observer=paper`` alone: planners and the
     memory take ranges for surfaces.
 
-    Args:
-        drift: of the odometry.
-        latency: from a scan until its command takes effect [s].
+    The arguments are those of :class:`SimulatedSensor`.
     """
 
     def __init__(self, *, drift: Drift | Mapping[str, float] = EXACT, latency: float = 0.0) -> None:

@@ -45,13 +45,7 @@ def train(
     the driver is validated on dense arenas of the "val" split, of the training's kind, with its greatest
     number of pedestrians and its time limit. The last policy is kept, whatever the validation says.
 
-    Args:
-        learner: with its environment.
-        sensor: for the validation.
-        folder: Run folder.
-        log: what the person sees.
-        validate: number of arenas to validate on; 0: no validation.
-        config: resolved, for the record.
+    It takes ``validate`` arenas; 0: no validation.
 
     Returns:
         Settings, version, seconds of processor time and wall clock, and the validation at each checkpoint

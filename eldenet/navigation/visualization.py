@@ -41,11 +41,7 @@ _ENDS = {Event.NONE: "", Event.GOAL: "  goal", Event.COLLISION: "  COLLISION", E
 
 
 class Scene:
-    """Draws one episode.
-
-    Args:
-        arena: the world.
-        size: of the top view [px].
+    """Draws one episode; its top view has ``size`` x ``size`` pixels.
 
     Attributes:
         trail: poses so far; append to it.
@@ -146,12 +142,8 @@ class Scene:
 
         ``(size + 20, size + 2 / 5 * size * 4 / 3, 3)`` uint8 RGB; before the first scan the top view only.
 
-        Args:
-            episodes: the running episodes.
-            slot: number of the robot.
-            note: line of text.
-            view: :class:`~eldenet.simulation.arena_view.ArenaView` for sensors without images; None: their
-                panels stay empty.
+        ``view`` is an :class:`~eldenet.simulation.arena_view.ArenaView` for sensors without images; without
+        one, their panels stay empty.
         """
         top = self.top_view(episodes, slot)
         self._scale_bar(top)
@@ -238,13 +230,7 @@ def record_episode(
 ) -> tuple[Event, float]:
     """Run one episode and write it as a video at true speed; no display is needed.
 
-    Args:
-        arena: of the episode.
-        policy: for one robot.
-        sensor: of the robot.
-        path: of the video, with one of ``VIDEO_FORMATS`` as its ending.
-        settings: of the episode.
-        advance: called for each frame.
+    The ending of ``path`` is one of ``VIDEO_FORMATS``; ``advance`` is called for each frame.
 
     Returns:
         How the episode ended, and its duration [s].

@@ -58,11 +58,8 @@ TITLES = ("image", "before", "after")
 def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Resources) -> bool:
     """Fit the scale, check it on held-out frames, keep the better weights; return whether it is kept.
 
-    Args:
-        s: settings of ``eldenet adapt camera_height=...``, which ``run.json`` stores.
-        source: pictures in the order of time, or a video.
-        folder: of the run.
-        resources: device, threads.
+    ``s`` are the settings of ``eldenet adapt camera_height=...``; ``source`` has pictures in the order of
+    time, or a video.
 
     Raises:
         ValueError: too few frames show a floor, the held-out ones are copies of others, or the factor of its

@@ -243,9 +243,7 @@ def trusted_edges(detections: Detections2D, size: tuple[int, int]) -> tuple[np.n
     An edge at the image border is a cut. Where a nearer box begins, the edge of a "tight" box shows only
     where the visible part ends.
 
-    Args:
-        detections: the objects.
-        size: ``(height, width)`` of the image [px].
+    ``size`` is the image's ``(height, width)`` [px].
     """
     xyxy = detections.xyxy
     trusted = ~border_cuts(xyxy, size)

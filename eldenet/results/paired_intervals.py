@@ -88,11 +88,8 @@ def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[
     Scenes are drawn for both rows together, so that a hard scene affects both alike; all frames of a drawn
     scene count.
 
-    Args:
-        ours: scores of one row.
-        theirs: of the other.
-        draw_seeds: draw the runs of each row as well, independently, so that the interval includes the chance
-            in a training; it takes several runs of both.
+    ``draw_seeds`` draws the runs of each row as well, independently, so that the interval includes the chance
+    in a training; it takes several runs of both.
 
     Raises:
         ValueError: the two rows scored different images.

@@ -125,11 +125,7 @@ def differences_plot(
 ) -> None:
     """Plot each row's difference to the reference row with its interval, the best on top.
 
-    Args:
-        path: of the image.
-        blocks: block -> row -> difference; a panel for each block.
-        metric: name of the metric.
-        references: block -> its reference row.
+    Each block has a panel; ``references`` names its reference row.
     """
     pyplot = pyplot_for_files()
     heights = [len(rows) for rows in blocks.values()]

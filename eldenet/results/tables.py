@@ -207,12 +207,8 @@ def to_latex(
 ) -> str:
     """A LaTeX table (booktabs) with the notes as comments.
 
-    Args:
-        titles: of the columns.
-        rows: cells.
-        notes: comments above the table.
-        core: numbers of the columns that come first where the page has no room for all; a comment names the
-            others. None: all columns, also beyond the page.
+    ``core`` are the numbers of the columns that come first where the page has no room for all; a comment
+    names the others. None: all columns, also beyond the page.
     """
 
     def line(cells: Sequence[str]) -> str:

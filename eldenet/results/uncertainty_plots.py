@@ -36,9 +36,7 @@ def write_uncertainty(folder: Path, scores: UncertaintyScores, log: "RunLog") ->
 def sparsification_plot(path: Path, rows: Mapping[str, Mapping[str, np.ndarray]]) -> None:
     """Plot the error that is left against the share of removed pixels: each row's, and its oracle's dashed.
 
-    Args:
-        path: of the picture.
-        rows: name -> error -> curves ``(2, steps + 1)``, own and oracle's.
+    ``rows`` are name -> error -> curves ``(2, steps + 1)``, own and oracle's.
     """
     pyplot = pyplot_for_files()
     figure, every_axes = pyplot.subplots(1, len(TITLES), figsize=(9, 4), sharey=True)
@@ -61,9 +59,7 @@ def sparsification_plot(path: Path, rows: Mapping[str, Mapping[str, np.ndarray]]
 def reliability_plot(path: Path, rows: Mapping[str, np.ndarray]) -> None:
     """Plot the share of pixels inside an interval against the share that it promises.
 
-    Args:
-        path: of the picture.
-        rows: name -> shares at ``RELIABILITY_LEVELS``.
+    ``rows`` are name -> shares at ``RELIABILITY_LEVELS``.
     """
     pyplot = pyplot_for_files()
     figure, axes = pyplot.subplots(figsize=(4.5, 4.5))

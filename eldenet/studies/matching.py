@@ -30,12 +30,7 @@ _NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
 def run_overrides(shared: Sequence[str], folder: Path, runs: Path, *, name: str, seed: int) -> list[str]:
     """Overrides of ``eldenet.train`` for one run, as its command line would give them.
 
-    Args:
-        shared: overrides of the row, with ``{runs}`` and ``{seed}``.
-        folder: of the run.
-        runs: folder of the study's runs.
-        name: of the row.
-        seed: of the run.
+    ``shared`` are the row's, with ``{runs}`` and ``{seed}``; ``runs`` is the folder of the study's runs.
     """
     filled = [text.replace("{runs}", str(runs)).replace("{seed}", str(seed)) for text in shared]
     return [*filled, f"model_name='{name}'", f"seed={seed}", f"output='{folder}'", "ckpt_path=auto"]
@@ -95,11 +90,8 @@ def search_differences(
 ) -> list[str]:
     """Differences between a search for a learning rate and the search behind a stored choice, in words.
 
-    Args:
-        candidates: learning rates to try.
-        trial: resolved settings of a trial.
-        record: the stored choice.
-        given: as :func:`~eldenet.results.fingerprints.run_differences` takes it.
+    ``trial`` are the resolved settings of a trial; ``given`` is that of
+    :func:`~eldenet.results.fingerprints.run_differences`.
     """
     rule = record["rule"]
     asked = {"candidates": list(candidates), **trial}

@@ -185,10 +185,7 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
 def read_text(path: Path, advice: str = AGAIN, most: int = MOST_TEXT) -> str:
     """Return the text of a file (UTF-8), which is compressed where its name ends with ``.gz``.
 
-    Args:
-        path: of the file.
-        advice: what to do if it is missing or no text.
-        most: bytes that it may hold.
+    It may hold ``most`` bytes; ``advice`` says what to do if it is missing or no text.
 
     Raises:
         FileNotFoundError: there is no such file.

@@ -57,10 +57,7 @@ def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
     Two candidates are compared with the start: the scale alone, and all weights trained from there. Writes
     ``model/``, ``run.json``, ``held_out.csv`` and ``before_after.png`` into the run folder.
 
-    Args:
-        s: settings of ``eldenet adapt``, which ``run.json`` stores.
-        folder: of the run.
-        resources: device, threads, workers.
+    ``s`` are the settings of ``eldenet adapt``, which ``run.json`` stores.
 
     Raises:
         ValueError: there are too few frames with depth, or copies of few; their depth is the same everywhere,

@@ -195,8 +195,7 @@ def save_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
     """Read a checkpoint that :func:`save_checkpoint` wrote; nothing in it is executed.
 
-    Args:
-        path: the file, or a run folder, whose ``checkpoints/last.pt`` is read.
+    A run folder stands for its ``checkpoints/last.pt``.
 
     Raises:
         FileNotFoundError: no such file.

@@ -19,11 +19,6 @@ OWN_CHECKPOINT = Path("checkpoints") / "last.pt"
 def finished_value(folder: Path, ckpt_path: str | None, settings: Mapping[str, Any]) -> float | None:
     """Return the best value of the run in ``folder`` if it has finished and ``ckpt_path="auto"`` asks for it.
 
-    Args:
-        folder: of the run.
-        ckpt_path: the setting.
-        settings: of the training, as ``run.json`` stores them.
-
     Raises:
         ValueError: the finished run had other settings or other frames, or is an evaluation.
     """

@@ -36,12 +36,7 @@ def summary(info: Mapping[str, Any]) -> str:
 
 
 def model_card(info: Mapping[str, Any], model: Mapping[str, Any]) -> str:
-    """Return README.md: the Hub's metadata, the model, its scores with their protocol, how to load it.
-
-    Args:
-        info: facts about the weights, as in ``config.json``.
-        model: settings of the network.
-    """
+    """Return README.md: the Hub's metadata, the model, its scores with their protocol, how to load it."""
     name, data = str(info.get("model_name", "depth network")), str(info.get("data", "not stated"))
     split, protocol, found = scores(info)
     license_text = str(info.get("license", "not stated"))

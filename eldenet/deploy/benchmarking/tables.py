@@ -78,10 +78,7 @@ def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]) -> Accuracies | None:
     """Mean accuracy of each model over the seeds of its runs, and the title of the axis; None without runs.
 
-    Args:
-        folders: ``run.json`` files, or folders that hold some; runs of other models are left out.
-        metric: of the records.
-        models: that are measured.
+    Runs of other models are left out.
 
     Raises:
         FileNotFoundError: there is no run.

@@ -9,10 +9,7 @@ from eldenet.simulation.rendering.mjcf import Draw
 def develop(linear: np.ndarray, draw: Draw, seed: tuple[int, ...]) -> np.ndarray:
     """Develop linear RGB ``(H, W, 3)`` float32 into an image ``(H, W, 3)`` uint8.
 
-    Args:
-        linear: light; changed in place.
-        draw: of exposure, tone and blur.
-        seed: of the pixel noise.
+    ``linear`` is changed in place; ``draw`` chooses exposure, tone and blur, ``seed`` the pixel noise.
     """
     height, width, _ = linear.shape
     level = float(cv2.mean(cv2.resize(linear, (16, 12), interpolation=cv2.INTER_AREA))[1])
@@ -51,11 +48,8 @@ def develop_photo(
 
     Milder than :func:`develop` in color and noise; dark corners go black and windows burn out.
 
-    Args:
-        linear: light; changed in place.
-        draw: of exposure, tone and blur.
-        seed: of the pixel noise.
-        outdoors: by daylight, whose color a camera balances well.
+    The arguments are those of :func:`develop`; ``outdoors`` is by daylight, whose color a camera balances
+    well.
     """
     height, width, _ = linear.shape
     level = float(cv2.mean(np.minimum(cv2.resize(linear, (16, 12), interpolation=cv2.INTER_AREA), 2.0))[1])
