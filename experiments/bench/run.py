@@ -55,15 +55,16 @@ BINS = ((0.2, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 10.0))  # true dep
 NEAR = tuple(f"abs_rel_{low:g}_{high:g}" for low, high in BINS)
 FIGURES = (
     "delta1",
+    "whole_delta1",
     "abs_rel",
     "delta1_aligned",
-    "whole_delta1",
     "median_truth",
     "median_depth",
     "inside80",
     *NEAR,
 )
-OF_VIEWS = FIGURES[:4]  # the others are those of whole frames alone
+OF_VIEWS = FIGURES[:2]  # the others are those of whole frames alone
+WHOLE = ("delta1", "abs_rel", "delta1_aligned")  # in the table of whole frames
 COLUMNS = ("weights", "runtime", "place", "frame", "view", *FIGURES)
 ENOUGH = 50  # pixels of a distance
 
@@ -101,9 +102,9 @@ def figures(
     near = [relative[(truth >= low) & (truth < high)] for low, high in BINS]
     return [
         share_right(depth, truth),
+        share_right(beside, truth),
         float(relative.mean()),
         share_right(aligned, truth),
-        share_right(beside, truth),
         float(np.median(truth)),
         float(np.median(depth)),
         inside,
@@ -187,7 +188,7 @@ def report(stored: Sequence[dict[str, str]]) -> None:
         for key, views in sorted(groups.items(), key=lambda item: (PLACES.index(item[0][0]), item[0])):
             whole = views["whole"]
             cells = [
-                [len(whole), *(mean(whole, name) for name in FIGURES[:3]), *log_slopes(whole)],
+                [len(whole), *(mean(whole, name) for name in WHOLE), *log_slopes(whole)],
                 [mean(whole, name) for name in NEAR],
                 [change(views[view]) for view in SHAPES if view in views],
                 [change(views[view]) for view in ZOOMS if view in views],

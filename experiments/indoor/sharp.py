@@ -1,6 +1,6 @@
 """Measures what sharpening changes: accuracy of all pixels, and of those near edges of the true depth.
 
-``python experiments/indoor/sharp.py eldenet_l_indoor`` writes ``sharp.md``. Frames are two of three held-out
+``python experiments/indoor/sharp.py eldenet_l_indoor`` prints the table. Frames are two of three held-out
 NYU frames (the others chose the constants), and those of ``$ELDENET_DATA/other_cameras``.
 """
 
@@ -51,7 +51,7 @@ def delta1(depth: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
 
 
 def main(source: str) -> None:
-    """Measure and write the table."""
+    """Measure and print the table."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     model = eldenet.load(source)
@@ -83,9 +83,7 @@ def main(source: str) -> None:
         "difference: paired, over images, with the 95 % interval of the bootstrap",
         f"{environment()['hardware']['processor']}, 1 thread; python experiments/indoor/sharp.py {source}",
     ]
-    Path(__file__).with_name("sharp.md").write_text(
-        to_markdown([*header, "network and sharpening [s]"], rows, notes)
-    )
+    print(to_markdown([*header, "network and sharpening [s]"], rows, notes))
 
 
 if __name__ == "__main__":

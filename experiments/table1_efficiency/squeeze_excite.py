@@ -1,6 +1,6 @@
 """What the squeeze-and-excitation module costs: the same network with and without it, in pairs of calls.
 
-python experiments/table1_efficiency/squeeze_excite.py     writes squeeze_excite.md; the machine may be busy
+python experiments/table1_efficiency/squeeze_excite.py     the machine may be busy
 """
 
 import argparse
@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -20,7 +19,6 @@ from eldenet.results.run_record import environment
 from eldenet.results.tables import to_markdown
 from eldenet.train import TrainSettings
 
-HERE = Path(__file__).parent
 SIZE = (224, 224)
 RUNTIMES = ("torch_channels_last", "onnxruntime", "openvino")
 PAIRS = 10  # of calls, in a round
@@ -50,7 +48,7 @@ def main() -> None:
         "python experiments/table1_efficiency/squeeze_excite.py",
     ]
     titles = ["network", "runtime", "with [ms]", "without [ms]", "ratio"]
-    (HERE / "squeeze_excite.md").write_text(to_markdown(titles, rows, notes))
+    print(to_markdown(titles, rows, notes))
 
 
 def open_network(name: str, runtime: str, *, se: bool) -> runtimes.Runtime:

@@ -18,7 +18,6 @@ from eldenet.evaluation.cost import median_ms, percentile_ms, time_interleaved
 from eldenet.results.run_record import environment
 from eldenet.results.tables import to_markdown
 
-HERE = Path(__file__).parent
 SIZES = ((224, 224), (120, 160))
 
 
@@ -54,9 +53,7 @@ def main() -> None:
         f"{found['hardware']['processor']}; {versions}; python experiments/table1_efficiency/whole_path.py",
     ]
     titles = ["runtime", "network sees", "threads", "p50 [ms]", "p95 [ms]", "frames/s"]
-    text = to_markdown(titles, rows, notes)
-    (HERE / "whole_path.md").write_text(text)
-    print(text)
+    print(to_markdown(titles, rows, notes))
 
 
 if __name__ == "__main__":

@@ -2,14 +2,13 @@
 
 python experiments/table4_centres/halls.py --model eldenet_indoor
 
-Writes ``halls.md``.
+Prints the table of README.md.
 """
 
 import argparse
 import sys
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -23,7 +22,6 @@ from eldenet.perception.matching_metrics import Pairs, bootstrap, compare
 from eldenet.simulation.street_views import StreetView
 from eldenet.uncertainty import DepthEstimate
 
-HERE = Path(__file__).parent
 HEIGHT = HEIGHTS["hall"]
 DEPTHS = (0.0, 3.0, 5.0, 8.0, np.inf)  # [m]
 
@@ -56,7 +54,7 @@ def main() -> None:
         rows.append([title, "refine", "known", *measure(given, camera_height=HEIGHT)])
         rows.append([title, "refine", "unknown", *measure(given)])
     rows.append(["none", "no_depth", "known", *measure(cases, method="no_depth", camera_height=HEIGHT)])
-    write(rows, depth_ratios(views, found), args.halls)
+    show(rows, depth_ratios(views, found), args.halls)
 
 
 def measure(cases: list[Case], **options) -> list[str]:
@@ -101,7 +99,7 @@ def depth_ratios(views: list[StreetView], found: list[DepthEstimate]) -> list[st
     ]
 
 
-def write(rows: list[list[str]], lines: list[str], halls: int) -> None:
+def show(rows: list[list[str]], lines: list[str], halls: int) -> None:
     titles = "depth", "method", "camera height", "objects", "distance [%]", "center accuracy [%]"
     text = [
         f"| {' | '.join(titles)} |", "|---|---|---|---:|---:|---:|",
@@ -113,7 +111,6 @@ def write(rows: list[list[str]], lines: list[str], halls: int) -> None:
         "",
         f"Made by `{' '.join(['python experiments/table4_centres/halls.py', *sys.argv[1:]])}`.",
     ]  # fmt: skip
-    (HERE / "halls.md").write_text("\n".join(text) + "\n")
     print("\n".join(text))
 
 

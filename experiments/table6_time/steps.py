@@ -1,4 +1,4 @@
-"""Measure the steps per second of the training environment: steps.md.
+"""Measure the steps per second of the training environment.
 
 python experiments/table6_time/steps.py        a few minutes, on an idle machine
 
@@ -9,7 +9,6 @@ is not counted; ends of episodes and new arenas are.
 import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 
 import torch
 
@@ -20,7 +19,6 @@ from eldenet.navigation.sensors import Ranges, Sensor
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.results.run_record import environment
 
-HERE = Path(__file__).parent
 ROBOTS, ROUNDS = 64, 450  # about four episodes a robot, as often as training crosses each arena
 PROCESSES = (1, 2)  # side by side, with one thread each
 ROWS: tuple[tuple[str, str, Sensor], ...] = (
@@ -48,7 +46,6 @@ def main() -> None:
             f"{together(count, density, physics, sensor):,.0f}" for density in (5, 80) for count in PROCESSES
         ]
         lines.append(f"| {name} | {' | '.join(rates)} |")
-        print(lines[-1], flush=True)
     hardware = where["hardware"]
     lines += [
         "",
@@ -56,7 +53,7 @@ def main() -> None:
         f"{where['date']}, commit {(where['git'] or {}).get('commit')}.",
         f"Made by `python experiments/table6_time/{where['command']}`.",
     ]
-    (HERE / "steps.md").write_text("\n".join(lines) + "\n")
+    print("\n".join(lines))
 
 
 def together(processes: int, density: int, physics: str, sensor: Sensor) -> float:

@@ -2,8 +2,8 @@
 
 python experiments/uncertainty/arenas.py runs/arenas_sigma --density 80 --worlds 300
 
-Network, depth and driver are the same in both rows. Writes every episode to ``arenas.csv`` and the table to
-``arenas.md``; stored rows are not driven again.
+Network, depth and driver are the same in both rows. Writes every episode to ``arenas.csv`` and prints the
+table; stored rows are not driven again.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from eldenet.navigation.policy import Navigator  # noqa: E402
 from eldenet.navigation.provenance import EPISODE_VERSION  # noqa: E402
 from eldenet.navigation.tasks import frozen_arenas  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
-from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
+from eldenet.system.files import read_table, write_rows  # noqa: E402
 
 HERE = Path(__file__).parent
 sys.path.append(str(HERE.parent / "table5_success"))
@@ -129,7 +129,6 @@ def main() -> None:
         "",
         *table_of(rows),
     ]
-    write_text(args.output / "arenas.md", "\n".join(lines) + "\n")
     print("\n".join(lines))
 
 

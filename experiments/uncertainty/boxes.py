@@ -3,7 +3,7 @@
 python experiments/uncertainty/boxes.py runs/streets_sigma
 
 Objects of rendered streets that no training sees, with 2D boxes of an ideal detector. Writes ``boxes.csv``
-(every object) and ``boxes.md``.
+(every object) and prints the table.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
 from eldenet.perception.lifter import DISTANCE_LEVEL, BoxLifter  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.simulation.street_views import render_street  # noqa: E402
-from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
+from eldenet.system.files import read_table, write_rows  # noqa: E402
 
 HERE = Path(__file__).parent
 COLUMNS = ("street", "object", "distance", "with_sigma", "low", "high", "without_sigma", "no_depth")
@@ -79,7 +79,7 @@ def summary(rows: np.ndarray) -> list[str]:
 
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    options.add_argument("weights", nargs="?", help="that know their sigma; without: boxes.md from boxes.csv")
+    options.add_argument("weights", nargs="?", help="that know their sigma; without: the table of boxes.csv")
     options.add_argument("--streets", type=int, default=200)
     options.add_argument("--output", type=Path, default=HERE)
     args = options.parse_args()
@@ -106,7 +106,6 @@ def main() -> None:
         f"{where['hardware']['processor']}, torch {where['versions']['torch']}, {where['date']}. Made by "
         "`python experiments/uncertainty/boxes.py runs/streets_sigma`.",
     ]
-    write_text(args.output / "boxes.md", "\n".join(lines) + "\n")
     print("\n".join(lines))
 
 
