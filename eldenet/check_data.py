@@ -144,7 +144,7 @@ def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found
 def _cells(found: "SplitCheck") -> dict[str, str]:
     """One column of the table."""
     sizes = [f"{size}: {count}" for size, count in found.sizes.items()]
-    marks = [found.percentiles.get(q) for q in ("p5", "p50", "p95")]
+    marks = {q: found.percentiles.get(q) for q in ("p5", "p50", "p95")}
     focal = f", fx {found.intrinsics[0]:.1f} px" if found.intrinsics else ""
     return {
         "frames": str(len(found.names)),
@@ -154,9 +154,9 @@ def _cells(found: "SplitCheck") -> dict[str, str]:
         "without depth": str(len(found.without_depth)),
         "height x width [px]": "\n".join(sizes[:5] + [f"{len(sizes) - 5} more"] * (len(sizes) > 5)) or "-",
         "pixels with depth": f"{found.valid:.1%}",
-        "depth that counts [m]": f"{found.min_depth:g} to {found.max_depth:g}",
-        "pixels with depth beyond": f"{found.outside:.1%}",
-        "depth p5 / p50 / p95 [m]": " / ".join("-" if mark is None else f"{mark:.2f}" for mark in marks),
+        "depth range [m]": f"{found.min_depth:g} to {found.max_depth:g}",
+        "pixels out of range": f"{found.outside:.1%}",
+        **{f"depth {q} [m]": "-" if mark is None else f"{mark:.2f}" for q, mark in marks.items()},
         "histogram": _bars(found.histogram),
         "intrinsics": f"{found.with_intrinsics}{focal}",
         "split hash": found.split_hash or "-",

@@ -20,6 +20,14 @@ from eldenet.types import Frame
 FOLDER_TREE = """
 images/a.jpg, images/b.jpg ...     depths/a.png, depths/b.png ...     (other trees: eldenet check-data FOLDER)
 """
+PARTS = {
+    "train": "train",
+    "training": "train",
+    "val": "val",
+    "valid": "val",
+    "validation": "val",
+    "test": "test",
+}
 
 
 class FolderDataset(FileDataset):
@@ -29,10 +37,10 @@ class FolderDataset(FileDataset):
     (:func:`~eldenet.geometry.resample_depth`). A picture is turned as its EXIF tag says only where its depth
     map is upright.
 
-    The split is by scenes where there are several. Else it is by blocks of frames that follow each other in
-    the order of their names (2 before 10): neighboring frames of a recording look nearly the same, so a
-    frame-by-frame split would test on what was trained. Better still, name validation frames of other places
-    in ``val_names``.
+    Folders named train, val and test are these parts. Else the split is by scenes where there are several, or
+    by blocks of frames that follow each other in the order of their names (2 before 10): neighboring frames
+    of a recording look nearly the same, so a frame-by-frame split would test on what was trained. Better
+    still, name validation frames of other places in ``val_names``.
 
     Args:
         root: the data set's folder.
@@ -54,7 +62,7 @@ class FolderDataset(FileDataset):
             which must then have one size, with the principal point inside; a table with ``width`` and
             ``height`` too; a file of the camera below ``root``; or a folder or pattern of one file per
             picture. None: those of the list, or unknown.
-        split: "train", "val" or "all".
+        split: "train", "val", "all", or "test", if a folder is named so.
         val_fraction: share of the blocks or scenes for validation.
         blocks: how many blocks the frames are cut into.
         gap: frames left out of both parts on each side of a validation block.
@@ -94,7 +102,7 @@ class FolderDataset(FileDataset):
         ground_truth: str = "raw",
         **options: Unpack[SampleOptions],
     ) -> None:
-        one_of("split", split, ("train", "val", "all"))
+        one_of("split", split, ("train", "val", "test", "all"))
         one_of("ground_truth", ground_truth, ("raw", "inpainted", "sparse"))
         one_of("rotate_depth", rotate_depth, (0, 90, 180, 270))
         layout = Layout(images, depths, csv, allow_outside, confidence, pair_by, tolerance, intrinsics)
@@ -108,8 +116,14 @@ class FolderDataset(FileDataset):
         self._check_scale(folder, csv)
         self.frames = layout.frames(folder, strict=options.get("on_error") != "skip")
         every = names = sorted(self.frames, key=natural_order)
-        if split != "all" and val_names is not None:
+        parts = named_parts([self.frames[name] for name in names])
+        if split == "test" and "test" not in parts:
+            raise ValueError(f"split='test': {folder} has no folders train and test; give 'val' or 'all'")
+        if split in ("train", "val") and val_names is not None:
             names = _named(names, val_names, wanted=split == "val")
+        elif split != "all" and parts:
+            part = split if split in parts else next(one for one in parts if one != "train")
+            names = [name for name, one in zip(names, parts, strict=True) if one == part]
         elif split != "all":
             scenes = [self.frames[name].scene for name in names]
             val, left_out = val_scenes(scenes, val_fraction, split_seed), list[int]()
@@ -232,6 +246,13 @@ def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) ->
     val = {int(i) for part in _drawn(len(parts), fraction, seed) for i in parts[part]}
     beside = {i + step for i in val for step in range(-gap, gap + 1)} - val
     return sorted(val), sorted(i for i in beside if 0 <= i < count)
+
+
+def named_parts(frames: Sequence[RecordedFrame]) -> list[str]:
+    """Return "train", "val" or "test" of each frame, if folders or scenes are named so; else nothing."""
+    folders = [f"{frame.scene}/{frame.files[0]}".lower().split("/")[:-1] for frame in frames]
+    parts = [next((PARTS[folder] for folder in above if folder in PARTS), "") for above in folders]
+    return parts if "train" in parts and "" not in parts and len(set(parts)) > 1 else []
 
 
 def val_scenes(scenes: Sequence[str], fraction: float, seed: int) -> list[int]:

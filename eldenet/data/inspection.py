@@ -19,7 +19,7 @@ PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
 # Bins of 1 % from 1 mm to 1 km: percentiles to half a percent without keeping a pixel.
 _EDGES = np.geomspace(1e-3, 1e3, 1390)
 _PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
-HISTOGRAM_BINS = 20
+HISTOGRAM_BINS = 16
 Bar = Callable[[str, int], AbstractContextManager[Any]]
 
 

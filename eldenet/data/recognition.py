@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eldenet.data.camera_files import CAMERA_ENDINGS, Camera, read_camera
-from eldenet.data.folder import FolderDataset
+from eldenet.data.folder import PARTS, FolderDataset, named_parts
 from eldenet.data.frame_files import Key, find_frame_files, other_ways, partners
 from eldenet.data.frame_lists import read_frame_list, stated_scale
 from eldenet.data.inspection import PLAUSIBLE
@@ -189,16 +189,21 @@ def _place(
     parts = parent.split("/")
     for place in range(len(parts)):
         others = {
-            one
+            one.split("/")[place].lower()
             for one, name in groups
             if kinds[one, name] == kind
             and len(one.split("/")) == len(parts)
-            and all(a == b or i == place for i, (a, b) in enumerate(zip(one.split("/"), parts, strict=True)))
+            and all(
+                b in (a, "*") or i == place
+                for i, (a, b) in enumerate(zip(one.split("/"), parts, strict=True))
+            )
         }
         is_last = place == len(parts) - 1
-        if len(others) >= _MANY and (not is_last or not alone):  # rgb and depth are no scenes
+        are_parts = others <= PARTS.keys()
+        if len(others) >= _MANY and (are_parts or not is_last or not alone):  # rgb and depth are no scenes
             parts[place] = "*"
-            break
+            if not are_parts:
+                break
     parent = "/".join(parts)
     return parent if alone else f"{parent}/{template}".lstrip("/")
 
@@ -283,6 +288,10 @@ def _describe(
     found.facts += _unpaired(folder, settings, whole)
     if not whole:
         return found
+    if parts := named_parts(whole):
+        counts = ", ".join(f"{part} {count}" for part, count in Counter(parts).items())
+        found.facts.append(f"parts, by the names of folders: {counts}")
+        settings |= {"test_split": "test"} if {"val", "test"} <= set(parts) else {}
     settings |= _confidence(folder, whole, series, found.facts)
     stored = next((frame.camera for frame in whole if isinstance(frame.camera, Camera)), None)
     if stored is not None:
@@ -347,7 +356,11 @@ def _samples(
 
 def _refusal(folder: Path, settings: Mapping[str, Any]) -> list[str]:
     """What the reader says against the settings at the first frame; nothing if it reads it."""
-    given = {key: value for key, value in settings.items() if key not in ("data", "root", "input_size")}
+    given = {
+        key: value
+        for key, value in settings.items()
+        if key not in ("data", "root", "input_size", "test_split")
+    }
     try:
         FolderDataset(folder, on_error="skip", **{"max_depth": MAX_DEPTH, **given}).load_frame(0)
     except (ValueError, OSError) as error:

@@ -161,6 +161,28 @@ def test_train_and_val_are_separate_blocks(tmp_path: Path, seed: int) -> None:
     assert len(FolderDataset(tmp_path, max_depth=10.0)) == 50
 
 
+@pytest.mark.parametrize("names", ["train Val test", "train/a valid/a test/a", "training test", "train gym"])
+def test_folders_named_as_parts_are_these_parts(tmp_path: Path, names: str) -> None:
+    """Without ``val``, it is ``test``; one other name, and they are scenes."""
+    scenes = names.split()
+    for number, scene in enumerate(scenes):
+        tree(tmp_path / scene, number + 1)
+    below = "/".join("*" for _ in scenes[0].split("/"))
+    given = {"images": f"{below}/images", "depths": f"{below}/depths", "max_depth": 9.0}
+
+    def scenes_of(split: str) -> set[str]:
+        return {name.rpartition("/")[0] for name in FolderDataset(tmp_path, split=split, **given).names}
+
+    if "gym" in scenes:
+        with pytest.raises(ValueError, match="no folders train and test"):
+            scenes_of("test")
+        assert len(scenes_of("train")) == len(scenes_of("val")) == 1
+    else:
+        assert scenes_of("train") == {scene for scene in scenes if scene.startswith("train")}
+        assert scenes_of("val") == {scenes[1]}
+        assert scenes_of("test") == {scene for scene in scenes if scene.startswith("test")}
+
+
 def test_validation_frames_can_be_named(tmp_path: Path) -> None:
     tree(tmp_path, 4)
     (tmp_path / "val.txt").write_text("f001\nf003\n")
@@ -179,7 +201,7 @@ def test_validation_frames_can_be_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        ({"split": "test"}, "split='test'"),
+        ({"split": "dev"}, "split='dev'"),
         ({"ground_truth": "dense"}, "ground_truth"),
         ({"intrinsics": [1, 2]}, "fx, fy, cx, cy"),
         ({"split": "train", "val_fraction": 1.5}, "val_fraction"),

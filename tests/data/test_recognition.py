@@ -87,6 +87,17 @@ def test_one_frame_is_a_recording(tmp_path: Path) -> None:
     assert found.readings[0].settings[2:] == ("data.images=images", "data.depths=depths")
 
 
+@pytest.mark.parametrize("tree", ["{part}/{kind}", "{kind}/{part}", "{part}/hall/{kind}"])
+def test_folders_named_as_parts_are_one_recording(tree: str, tmp_path: Path) -> None:
+    for part, count in (("train", 3), ("val", 2)):
+        for i in range(count):
+            recordings.picture(tmp_path / tree.format(part=part, kind="rgb") / f"{i}.png", i)
+            recordings.depth(tmp_path / tree.format(part=part, kind="depth") / f"{i}.png", i, SIZE)
+    (found,) = recognize(tmp_path)
+    assert "parts, by the names of folders: train 3, val 2" in found.facts
+    assert f"data.images={tree.format(part='*', kind='rgb')}" in found.readings[0].settings
+
+
 def test_the_object_benchmark_is_for_predict(tmp_path: Path) -> None:
     for folder in ("image_2", "calib"):
         (tmp_path / "training" / folder).mkdir(parents=True)
