@@ -138,7 +138,8 @@ def groups(config_name: str) -> dict[str, list[str]]:
     chosen = {name.partition("/")[0] for config in loaded for name in config.hydra.runtime.choices}
     if "model" in chosen:
         chosen.add("experiment")
-    files = sorted(path.relative_to(config_folder()) for path in config_folder().rglob("*.yaml"))
+    folder = config_folder()
+    files = sorted(path.relative_to(folder) for path in folder.rglob("*.yaml"))
     found: dict[str, list[str]] = {}
     for file in files:
         if file.parts[0] in chosen:

@@ -127,9 +127,14 @@ def serve() -> None:
     for name in sys.argv[1:]:
         __import__(name)
     if "torch" in sys.modules:
+        from support.composing import compose_each_choice_once, composed
         from support.timings import short_timings
 
         short_timings()
+        compose_each_choice_once()
+        for command in ("train", "evaluate", "predict"):  # so that their files are parsed
+            composed(command)
+            del sys.modules[f"eldenet.{command}"]  # each child starts its own
     gc.freeze()  # so that children do not copy every page when they collect
     for line in sys.stdin:
         order = json.loads(line)
