@@ -157,8 +157,23 @@ def _load(config_name: str, overrides: Sequence[str], sources: Sequence[str] = (
         return loader.load_configuration(config_name, list(overrides), run_mode=RunMode.RUN)
     except HydraException as error:
         raise ValueError(_wrong_type(error.__cause__, overrides) or str(error)) from error
+    except AssertionError as error:  # OmegaConf's, where a part of nothing is set
+        raise ValueError(_part_of_nothing(loader, config_name, overrides) or str(error)) from error
     except YAMLError as error:
         raise ValueError(f"a file of settings is no YAML: {' '.join(str(error).split())}") from error
+
+
+def _part_of_nothing(loader: ConfigLoaderImpl, config_name: str, overrides: Sequence[str]) -> str:
+    """Return one line on a setting of a section that is null, such as ``protocol.scale=median``."""
+    parts = [word for word in overrides if "." in word.partition("=")[0]]
+    others = [word for word in overrides if word not in parts]
+    config = loader.load_configuration(config_name, others, run_mode=RunMode.RUN)
+    for word in parts:
+        section = word.partition("=")[0].rpartition(".")[0]
+        if OmegaConf.select(config, section) is None:
+            own = f", or data.{word} for the data set's own" if section == "protocol" else ""
+            return f"{word}: give {section}=... too{own}"
+    return ""
 
 
 def _wrong_type(error: BaseException | None, overrides: Sequence[str]) -> str:

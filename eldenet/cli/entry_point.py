@@ -45,7 +45,9 @@ def entry_point(settings: type[S]) -> Callable[[Callable[[S], Any]], Callable[[]
         def command() -> None:
             about = sys.modules[main.__module__].__doc__ or ""
             resolver("command_help")(lambda: help_template(settings, about))
-            words = sys.argv[1:] = quote_paths(sys.argv[1:])
+            # options first: argparse takes the settings from one place only, as in train data=x -m seed=0,1
+            words = sorted(quote_paths(sys.argv[1:]), key=lambda word: word[:1] != "-" and "=" in word)
+            sys.argv[1:] = words
             with terminal():
                 if any(word.startswith("+") for word in words) and (line := advice(config_name, words)):
                     print_error(line)

@@ -66,6 +66,7 @@ def test_commands_print_the_advice_as_their_last_line(run_command):
         ("train data.input_size=[-1,5]", "input_size=[-1, 5]: give whole numbers of 1 or more"),
         ("train data.subset=5", "data.subset=5: give it per split, data.subset.train=5"),
         ("train -m model=eldnet,eldenet", "model=eldnet: did you mean eldenet?"),
+        ("train data=nyu_mat --config-dir . data.root=/nowhere -m seed=0 trainer.epochs=1", "/nowhere"),
         ("train +experiment=nope", "experiment=nope: choose from"),
         ("train ~foo", "Could not delete from config. 'foo' does not exist."),
         ("train +trainer.epochs=3", "Could not append to config. An item is already at"),

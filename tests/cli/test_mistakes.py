@@ -89,6 +89,8 @@ def answer(line: str) -> str:
         ("train =3", "=3 cannot be read: write setting=value, with the name of a setting"),
         ("train help", "help cannot be read: write setting=value (--help lists all settings)"),
         ("train data.input_size=(224,224)", "a list has square brackets, data.input_size=[224,224]"),
+        # a section that nobody chose
+        ("evaluate protocol.scale=median", "give protocol=... too, or data.protocol.scale=median"),
         # sweeps
         ("train seed=1..3", "seed=1..3: give a whole number; for several runs -m seed=1,2,3"),
         ("train -m seed=1-3", "seed=1-3: give a whole number; for several runs -m seed=1,2,3"),
