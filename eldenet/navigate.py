@@ -227,6 +227,8 @@ def arenas_of(s: NavigateEvaluateSettings, density: Any) -> "Sequence[Arena]":
     from eldenet.simulation.barn import read_barn
 
     if s.arena.file is not None:
+        if s.arena.file.endswith((".yaml", ".yml")):
+            raise ValueError(f"arena.file={s.arena.file}: one arena is for mode=record; give barn_worlds.npz")
         return [world.arena for world in read_barn(s.arena.file)[: s.episodes]]
     return frozen_arenas(density, s.episodes, split=s.split, pedestrians=s.pedestrians, kind=s.arena.kind)
 

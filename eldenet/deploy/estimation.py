@@ -145,6 +145,7 @@ def estimate(
         ValueError: a picture cannot be read, the lens is given twice or out of range, or the network is not
             trained.
         FileNotFoundError: there is no such picture or checkpoint.
+        TypeError: the checkpoint is neither a name nor a path.
 
     Warns:
         UserWarning: the lens of a picture is not known.
@@ -213,6 +214,11 @@ def _read(picture: Any) -> tuple[np.ndarray, Path | Image.Image | None]:
 
 def _predictor(checkpoint: str | Path) -> DepthPredictor:
     """The predictor of a checkpoint, kept until its weights change."""
+    if not isinstance(checkpoint, str | Path):
+        raise TypeError(
+            f"checkpoint is a {type(checkpoint).__name__}: give a name or a path; for a loaded network, "
+            "eldenet.DepthPredictor(network)(frame)"
+        )
     found = find_checkpoint(checkpoint, "checkpoint", trained=True)
     files = (found.path, *(found.path / name for name in WEIGHT_FILES))
     written = tuple(file.stat().st_mtime_ns for file in files if file.is_file())

@@ -51,12 +51,13 @@ def describe(
 
     height, width = camera_size or size
     canonical = model.canonical_px is not None
+    seen = f"the frame x {size[1]} / {width}" if camera_size else "the network's image"
     takes = "uint8 RGB frame (B, H, W, 3)" if camera_size else "float RGB image (B, 3, H, W) in [0, 1]"
     return {
         "eldenet_version": __version__,
         "model": name,
         "output": (
-            "canonical depth (B, 1, H, W); meters = depth x fx [px of the network's image] / "
+            f"canonical depth (B, 1, H, W); meters = depth x fx [px of {seen}] / "
             "(canonical_focal x canonical_width)"
             if canonical
             else "depth (B, 1, H, W) in meters"

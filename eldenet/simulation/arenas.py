@@ -124,7 +124,7 @@ def generate_arena(
         walls = _WALLS[kind](draw)
         if walls.narrow and (density or pedestrians):
             raise ValueError(
-                f"density={density}, pedestrians={pedestrians}: arena.kind={kind} has room for none"
+                f"density={density}, pedestrians={pedestrians}: arena.kind={kind} has room for none, give 0"
             )
         obstacles = draw_obstacles(draw, density, walls)
         if obstacles is None:

@@ -119,7 +119,10 @@ class Latencies:
             return None
         path = study.folder / study.latency
         if not path.is_file():
-            raise FileNotFoundError(f"{path} does not exist, but sweep.yaml names it as latency")
+            raise FileNotFoundError(
+                f"{path} does not exist, but sweep.yaml names it as latency: eldenet benchmark "
+                f"study={study.folder} writes it"
+            )
         needed = ("row", "latency_ms_p50", *COLUMNS, "processor", "date", "command", "network")
         table = read_table(path, needed) if path.stat().st_size else []
         with reading(path, "benchmark of a study", "restore it, or measure again"):

@@ -15,6 +15,7 @@ from eldenet.system.files import read_yaml
 from eldenet.train import TrainSettings
 
 PLAN = "sweep.yaml"
+STARTS = ("weights=", "teacher=", "model.backbone.pretrained=")  # overrides that bring in other data
 SHARED = ("seeds", "block", "seen", "learning_rate")  # defaults of all rows, given beside `rows:`
 RATE = "optimizer.lr"  # the setting that `learning_rate` and `learning_rates` set
 PLOTS, EPOCHS = ("pareto", "differences"), ("chosen", "last")
@@ -32,7 +33,8 @@ class StudyRow:
             ``{seed}`` for the run's seed.
         seeds: one run each.
         block: start class or data set; rows are compared within their block only.
-        seen: data that its weights have seen before and during training.
+        seen: data that its weights have seen before and during training; "not stated" by default where other
+            weights take part.
         given: name -> setting that the command line must give (``given.kitti=/data/kitti``) before the row
             can run, such as ``{kitti: data.root}``.
         learning_rate: of the optimizer; None: the study's ``learning_rates`` are searched, if it has any.
@@ -175,7 +177,9 @@ def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
             rows.append(_taken_row(path, str(name), entry, _readers))
         else:
             own = _checked(where, shared | (entry or {}), StudyRow, without=("name", "owner"))
-            rows.append(StudyRow(str(name), **own))
+            row = StudyRow(str(name), **own)
+            starts = any(word.startswith(STARTS) for word in row.overrides)
+            rows.append(replace(row, seen="not stated") if starts and "seen" not in own else row)
     own = _checked(str(path), content, Study, without=("folder", "rows"))
     study = Study(folder, tuple(rows), **own)
     for name, values, allowed in (

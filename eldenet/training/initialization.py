@@ -106,9 +106,10 @@ def _take_over(model: DepthNet, weights: str, trusted_modules: Sequence[str], *,
         fitting |= _beside_new_channels(own, start.state_dict(), start.head.channels)
     share = sum(value.numel() for value in fitting.values()) / sum(value.numel() for value in own.values())
     if share < LEAST_SHARE:
+        named = f" ({start.info['model_name']})" if "model_name" in start.info else ""
         raise ValueError(
             f"weights={weights}: they fit only {100 * share:.0f} % of this network: choose the one they "
-            "belong to, or leave weights out"
+            f"belong to{named}, leave weights out, or tune them with eldenet adapt"
         )
     model.load_state_dict(fitting, strict=False)
     copied = f"weights: {len(fitting)} of {len(own)} tensors copied from {weights}"
