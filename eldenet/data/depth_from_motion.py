@@ -19,8 +19,8 @@ from eldenet.geometry import resize_image, resize_intrinsics
 MOST_WIDTH = 640  # of the pictures in which corners are tracked [px]
 CORNERS, CORNER_SPACING = 600, 0.0125  # most in a picture, and how far apart [widths]
 STEP, STEP_TURN = 0.03, 0.05  # between two views [m], [rad]
-NEAREST_VIEW, FARTHEST_VIEW, MOST_TURN = 0.04, 0.6, 0.7  # of a picture's views [m], [m], [rad]
-SIDE_VIEWS = 5  # of a picture, before and after it
+NEAREST_VIEW, FARTHEST_VIEW, MOST_TURN = 0.04, 1.2, 0.7  # of a picture's views [m], [m], [rad]
+SIDE_VIEWS, GROWTH = 6, 1.7  # of a picture, before and after it; from one's distance to the next one's
 THERE_AND_BACK = 0.7  # by which tracking forth and back may miss a corner [px]
 SAME_POINT = 1.5  # error of a view that agrees [px]
 LEAST_VIEWS, LEAST_SHARE = 3, 0.6  # that agree, and their share of those that saw the corner
@@ -31,6 +31,7 @@ TRACK_ERROR = 0.5  # of a tracked corner [px]
 HEIGHT_ERROR, PITCH_ERROR = 0.02, 0.012  # of the mount: share of the height, [rad]
 TURN_COUNTS = 0.3  # of a drive: meters that one radian counts
 SWEPT_WIDTH, SWEPT_WINDOW, MOST_DIFFERENCE = 240, 7, 30.0  # of the plane sweep [px], [px], gray levels
+_TO_VIEW = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _STARTS = 1 / np.geomspace(NEAR, 25, 40)  # of the search for inverse depth [1/m]
 
 
@@ -168,7 +169,7 @@ def chosen_views(view: View, others: Iterable[View]) -> list[View]:
             break
         if way >= least:
             found.append(other)
-            least = max(1.3 * way, way + STEP)
+            least = max(GROWTH * way, way + STEP)
     return found
 
 
@@ -177,29 +178,36 @@ def track(
 ) -> list[np.ndarray]:
     """Return where corners ``(N, 2)`` [px] of a view lie in each other view; NaN where they are lost.
 
-    The search starts where the depth of :func:`sweep` puts a corner.
+    The other view is warped as if all were at the depth at which :func:`sweep` puts a corner, so that what
+    is close looks the same from all distances.
     """
-    options: dict[str, Any] = {"winSize": (15, 15), "maxLevel": 1, "criteria": (3, 20, 0.03)}
-    options["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
-    given = np.ascontiguousarray(corners[:, None], np.float32)
+    options: dict[str, Any] = {"winSize": (15, 15), "maxLevel": 0, "criteria": (3, 20, 0.03)}
     inverse = sweep(view, others, corners, intrinsics)
-    rays = homogeneous(corners) @ np.linalg.inv(intrinsics).T
-    height, width = view.gray.shape
+    size = view.gray.shape[::-1]
     found = []
     for other in others:
         motion = np.linalg.inv(other.pose) @ view.pose
-        moved = (rays @ motion[:3, :3].T + inverse[:, None] * motion[:3, 3]) @ intrinsics.T
-        start = moved[:, :2] / np.maximum(moved[:, 2:], 0.05)
-        guess = np.ascontiguousarray(start[:, None], np.float32)
-        there, ok, _ = cv2.calcOpticalFlowPyrLK(view.gray, other.gray, given, guess.copy(), **options)
-        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(
-            other.gray, view.gray, there, given + there - guess, **options
-        )
-        inside = (there[:, 0] > 1).all(1) & (there[:, 0] < (width - 2, height - 2)).all(1)
-        misses = np.linalg.norm((back - given)[:, 0], axis=1)
-        good = (np.hstack([ok, ok_back]) > 0).all(1) & (misses < THERE_AND_BACK) & inside
-        found.append(np.where(good[:, None], there[:, 0].astype(np.float64), np.nan))
+        points = np.full((len(corners), 2), np.nan)
+        for one in np.unique(inverse):
+            here = np.flatnonzero(inverse == one)
+            given = np.ascontiguousarray(corners[here, None], np.float32)
+            plane = intrinsics @ _of_plane(motion, one) @ np.linalg.inv(intrinsics)
+            warped = cv2.warpPerspective(other.gray, plane, size, flags=_TO_VIEW)
+            there, ok, _ = cv2.calcOpticalFlowPyrLK(view.gray, warped, given, None, **options)
+            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(warped, view.gray, there, None, **options)
+            moved = homogeneous(there[:, 0]) @ plane.T
+            at = moved[:, :2] / np.maximum(moved[:, 2:], 0.05)
+            inside = (at > 1).all(1) & (at < np.subtract(size, 2)).all(1)
+            misses = np.linalg.norm((back - given)[:, 0], axis=1)
+            good = (np.hstack([ok, ok_back]) > 0).all(1) & (misses < THERE_AND_BACK) & inside
+            points[here[good]] = at[good]
+        found.append(points)
     return found
+
+
+def _of_plane(motion: np.ndarray, inverse: float) -> np.ndarray:
+    """From rays of a view to those of another, for a plane that faces the view at an inverse depth [1/m]."""
+    return motion[:3, :3] + inverse * np.outer(motion[:3, 3], (0, 0, 1))
 
 
 def sweep(view: View, others: Sequence[View], corners: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
@@ -219,14 +227,9 @@ def sweep(view: View, others: Sequence[View], corners: np.ndarray, intrinsics: n
         motion = np.linalg.inv(other.pose) @ view.pose
         then = _flattened(other.gray, size)
         for place, inverse in enumerate(_STARTS):
-            plane = motion[:3, :3] + inverse * np.outer(motion[:3, 3], (0, 0, 1))
-            warped = cv2.warpPerspective(
-                then,
-                matrix @ plane @ rest,
-                size[::-1],
-                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderValue=MOST_DIFFERENCE * 4,
-            )
+            plane = matrix @ _of_plane(motion, inverse) @ rest
+            border = MOST_DIFFERENCE * 4
+            warped = cv2.warpPerspective(then, plane, size[::-1], flags=_TO_VIEW, borderValue=border)
             difference = np.minimum(np.abs(warped - now), MOST_DIFFERENCE)
             costs[number, place] = cv2.blur(difference, (SWEPT_WINDOW, SWEPT_WINDOW))[rows, columns]
     half = np.sort(costs, axis=0)[: (len(others) + 1) // 2].mean(axis=0)
