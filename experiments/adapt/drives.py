@@ -47,13 +47,17 @@ WORK = Path(tempfile.gettempdir()) / "eldenet-drives"
 WAY_ERROR, TURN_ERROR = 0.02, np.radians(0.5)  # share; [rad per m]
 SIZE = (240, 320)  # of rendered pictures [px]
 AHEAD = 0.1  # of rendered cameras before the axle [m]
-#: A low robot with a longer lens, and the robot that ``eldenet navigate`` drives.
+_ROBOT = Camera(0.40, 0.722, 0.0, (1.0, 1.0, 1.0), 0.3)
+#: A low robot with a longer lens, and the robot that ``eldenet navigate`` drives: on a short drive and two long ones.
 ARENA = {
     "arena_low": Camera(0.30, 0.90, -0.05, (1.0, 1.0, 1.0), 0.3),
-    "arena_robot": Camera(0.40, 0.722, 0.0, (1.0, 1.0, 1.0), 0.3),
+    "arena_robot": _ROBOT,
+    "arena_long": _ROBOT,
+    "arena_many": _ROBOT,
 }
 RENDERED = {**{name: CAMERAS[name] for name in ("robot_wide", "robot_tele")}, **ARENA}
 PARTS, WAY = 2, 6.0  # rooms that a robot drives through, and its way in each [m]
+LONG = {"arena_long": (8, 7.5), "arena_many": (20, 3.0)}  # the same of long drives
 REPORT_PARTS = 1  # rooms that only report
 STEP, TURN, CLOSE = 0.05, 0.09, 0.35  # of a drive [m], [rad], and room that it keeps [m]
 HEADER = ["place", "seed", "pictures", "corners", "label_error", "kept", "report_frames"]
@@ -94,15 +98,17 @@ def stage(place: str, part: int) -> tuple[CompiledRoom, Free, float]:
     return CompiledRoom(room), free, max(sx, sy) / 2
 
 
-def bounce(free: Free, half: float, rng: np.random.Generator) -> Iterator[tuple[float, float, float]]:
-    """Poses of a robot that drives in bows until something is near, then turns away from it."""
+def bounce(
+    free: Free, half: float, long: float, rng: np.random.Generator
+) -> Iterator[tuple[float, float, float]]:
+    """Poses of a robot that drives ``long`` [m] in bows until something is near, then turns away from it."""
     for _ in range(10_000):
         x, y, heading = rng.uniform(-half, half), rng.uniform(-half, half), rng.uniform(-np.pi, np.pi)
         if free(x, y):
             break
     way, side = 0.0, 1.0
     turns = 0
-    while way < WAY and turns < 400:
+    while way < long and turns < 400:
         yield x, y, heading
         ahead = all(free(x + d * np.cos(heading), y + d * np.sin(heading)) for d in (STEP, 0.15))
         if ahead:
@@ -116,6 +122,7 @@ def bounce(free: Free, half: float, rng: np.random.Generator) -> Iterator[tuple[
 def render(place: str, parts: range, folder: Path, seed: int, every: int) -> np.ndarray:
     """Write pictures and true depth; return the robot's poses ``(N, 3)`` of each picture."""
     camera = RENDERED[place]
+    long = LONG.get(place, (PARTS, WAY))[1]
     height, width = SIZE
     fx = camera.focal * width
     rays = RayCamera(SIZE, pinhole(fx, fx, (width - 1) / 2, (height - 1) / 2))
@@ -123,7 +130,7 @@ def render(place: str, parts: range, folder: Path, seed: int, every: int) -> np.
     for part in parts:
         room, free, half = stage(place, part)
         rng = np.random.default_rng((seed, part))
-        for number, (x, y, heading) in enumerate(bounce(free, half, rng)):
+        for number, (x, y, heading) in enumerate(bounce(free, half, long, rng)):
             if number % every:
                 continue
             at = np.array([x + AHEAD * np.cos(heading), y + AHEAD * np.sin(heading), camera.height])
@@ -172,8 +179,9 @@ def prepare(
     if place in REAL:
         return _real(place, seed, folder)
     camera = RENDERED[place]
-    poses = render(place, range(PARTS), folder / "drive", seed, 1)
-    render(place, range(PARTS, PARTS + REPORT_PARTS), folder / "report", seed, 8)
+    parts = LONG.get(place, (PARTS, WAY))[0]
+    poses = render(place, range(parts), folder / "drive", seed, 1)
+    render(place, range(parts, parts + REPORT_PARTS), folder / "report", seed, 8)
     told = as_odometry(as_matrices(poses), (0.0, 0.0, 1.0), seed)
     rows = [
         (f"{i:05d}.png", *pose[:2, 3].round(5), np.arctan2(pose[1, 0], pose[0, 0]).round(6))

@@ -127,6 +127,18 @@ def test_depth_along_a_drive_past_a_wall_is_that_of_the_wall():
         assert np.percentile(np.abs(error), 90) < 0.15
 
 
+def test_what_a_robot_drives_up_to_keeps_its_corners_though_each_view_shows_it_at_another_size():
+    solver = MotionDepth(CAMERA, SIZE)
+    cameras = [pose((0.0, 0.0, 1.3 + 0.05 * i)) for i in range(8)]
+    views = [solver.view(str(i), wall(camera)[0], camera) for i, camera in enumerate(cameras)]
+    found = solver.points(views[-1], views[-2::-1], [])
+    columns, rows = np.rint(found.pixels).astype(int).T
+    depth = wall(cameras[-1])[1][rows, columns]
+    assert len(depth) > 300
+    assert np.median(depth) < 0.5
+    assert np.median(np.abs(np.log(found.depth / depth))) < 0.015
+
+
 def test_views_that_show_something_else_give_no_points():
     solver = MotionDepth(CAMERA, SIZE)
     view = solver.view("a", wall(np.eye(4))[0], np.eye(4))
