@@ -48,7 +48,7 @@ WAY_ERROR, TURN_ERROR = 0.02, np.radians(0.5)  # share; [rad per m]
 SIZE = (240, 320)  # of rendered pictures [px]
 AHEAD = 0.1  # of rendered cameras before the axle [m]
 _ROBOT = Camera(0.40, 0.722, 0.0, (1.0, 1.0, 1.0), 0.3)
-#: A low robot with a longer lens, and the robot that ``eldenet navigate`` drives: on a short drive and two long ones.
+#: A low robot with a longer lens, and the robot of ``eldenet navigate`` on a short and two long drives.
 ARENA = {
     "arena_low": Camera(0.30, 0.90, -0.05, (1.0, 1.0, 1.0), 0.3),
     "arena_robot": _ROBOT,
