@@ -146,8 +146,8 @@ def _label(s: AdaptSettings) -> AdaptSettings:
     labels.mkdir(parents=True)
     shutil.copyfile(poses.path, copied)
     camera = label_drive(source, poses, intrinsics, labels, s.frames, RunLog(Path(s.output)))
-    read = {"root": str(labels), "intrinsics": camera, "ground_truth": "sparse"}
-    read["encoding"] = {"scale": 0.001, "dtype": "uint16"}  # whatever is nearest
+    encoding = {"scale": 0.001, "dtype": "uint16"}  # whatever is nearest
+    read = {"root": str(labels), "intrinsics": camera, "ground_truth": "sparse", "encoding": encoding}
     data = {**s.data, **read, "protocol": {**s.data["protocol"], "ground_truth": "sparse"}}
     data |= {part: {**s.data[part], **read} for part in ("train", "val", "test")}
     at_points = compose(AdaptSettings, ["loss=l1_sparse", "loss.terms.l1.space=log"]).loss

@@ -193,8 +193,8 @@ def track(
             given = np.ascontiguousarray(corners[here, None], np.float32)
             plane = intrinsics @ _of_plane(motion, one) @ np.linalg.inv(intrinsics)
             warped = cv2.warpPerspective(other.gray, plane, size, flags=_TO_VIEW)
-            there, ok, _ = cv2.calcOpticalFlowPyrLK(view.gray, warped, given, None, **options)
-            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(warped, view.gray, there, None, **options)
+            there, ok, _ = cv2.calcOpticalFlowPyrLK(view.gray, warped, given, given.copy(), **options)
+            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(warped, view.gray, there, there.copy(), **options)
             moved = homogeneous(there[:, 0]) @ plane.T
             at = moved[:, :2] / np.maximum(moved[:, 2:], 0.05)
             inside = (at > 1).all(1) & (at < np.subtract(size, 2)).all(1)
