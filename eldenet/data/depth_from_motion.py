@@ -183,7 +183,7 @@ def track(
     """
     options: dict[str, Any] = {"winSize": (15, 15), "maxLevel": 0, "criteria": (3, 20, 0.03)}
     inverse = sweep(view, others, corners, intrinsics)
-    size = view.gray.shape[::-1]
+    size, rest = view.gray.shape[::-1], np.linalg.inv(intrinsics)
     found = []
     for other in others:
         motion = np.linalg.inv(other.pose) @ view.pose
@@ -191,7 +191,7 @@ def track(
         for one in np.unique(inverse):
             here = np.flatnonzero(inverse == one)
             given = np.ascontiguousarray(corners[here, None], np.float32)
-            plane = intrinsics @ _of_plane(motion, one) @ np.linalg.inv(intrinsics)
+            plane = intrinsics @ _of_plane(motion, one) @ rest
             warped = cv2.warpPerspective(other.gray, plane, size, flags=_TO_VIEW)
             there, ok, _ = cv2.calcOpticalFlowPyrLK(view.gray, warped, given, given.copy(), **options)
             back, ok_back, _ = cv2.calcOpticalFlowPyrLK(warped, view.gray, there, there.copy(), **options)
