@@ -1,6 +1,6 @@
 """Compare weights tuned on drives of ``arena_robot`` in six arenas that no drive went through.
 
-python experiments/adapt/unseen.py NAME=WEIGHTS ...    # adds rows of AbsRel and predicted / true depth to unseen.csv
+python experiments/adapt/unseen.py NAME=WEIGHTS ...    # rows of AbsRel and predicted / true depth
 """
 
 import csv
