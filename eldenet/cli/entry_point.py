@@ -47,6 +47,7 @@ def entry_point(settings: type[S]) -> Callable[[Callable[[S], Any]], Callable[[]
             resolver("command_help")(lambda: help_template(settings, about))
             # options first: argparse takes the settings from one place only, as in train data=x -m seed=0,1
             words = sorted(quote_paths(sys.argv[1:]), key=lambda word: word[:1] != "-" and "=" in word)
+            words = ["--help"] if {"-h", "--help"} & set(words) else words  # it is the same for all settings
             sys.argv[1:] = words
             with terminal():
                 if any(word.startswith("+") for word in words) and (line := advice(config_name, words)):
@@ -94,6 +95,9 @@ def _start(main: Callable[[S], Any], config_name: str, words: Sequence[str]) -> 
             line = line_of(failed) if failed and is_of_disk else advice(config_name, words)
             print_error(line or _in_one_line(text, failed))
         raise
+    except (HydraException, ValueError) as failed:  # before there is a job, as of --cfg job -m
+        print_error(advice(config_name, words) or _in_one_line(str(failed), failed))
+        raise SystemExit(1) from None
     stderr.write(hydras_lines.getvalue())
 
 

@@ -17,7 +17,7 @@ COMMANDS = sorted({path.stem for path in config_folder().glob("*.yaml")} - {"bas
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_shows_the_settings_with_their_comments(command, run_command):
     module = module_of(command.replace("_", "-"))
-    finished = run_command(module.removeprefix("eldenet."), "--help")
+    finished = run_command(module.removeprefix("eldenet."), "-m", "mine=0,1", "--help")
     assert finished.returncode == 0, finished.stderr
     for name in composed(command):
         assert f"\n{name}: " in finished.stdout or f"\n{name}." in finished.stdout
@@ -71,6 +71,7 @@ def test_commands_print_the_advice_as_their_last_line(run_command):
         ("train ~foo", "Could not delete from config. 'foo' does not exist."),
         ("train +trainer.epochs=3", "Could not append to config. An item is already at"),
         ("train --config-dir=nowhere", "nowhere' not found"),
+        ("train --cfg job -m seed=0,1", "Only one of --run, --multirun, --cfg,"),
         ("train --foo", "unrecognized arguments: --foo (--help shows what there is)"),
         ("train output=/proc/runs/mine", "/proc/runs: No such file or directory"),
         ("train experiment=rooms_full", "+experiment"),
