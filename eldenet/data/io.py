@@ -21,7 +21,7 @@ class DepthEncoding:
     """How numbers in a depth file become meters: ``(v + offset) * scale``; 0, NaN and below 0 are unknown.
 
     Attributes:
-        name: in a config.
+        name: in a config; of an own one, what was given.
         scale: meters per step.
         offset: added to the number before scaling [steps].
         dtype: numpy type that the file must hold; "float" allows float16, float32 and float64.
@@ -113,7 +113,8 @@ def depth_encoding(encoding: Encoding) -> DepthEncoding:
     scale, offset = float(str(encoding["scale"])), float(str(encoding.get("offset", 0.0)))
     if not scale > 0:
         raise ValueError(f"encoding scale={scale}: meters per step must be above 0")
-    return DepthEncoding("given", scale, offset, dtype)
+    given = ", ".join(f"{key}: {value}" for key, value in encoding.items())
+    return DepthEncoding(f"{{{given}}}", scale, offset, dtype)
 
 
 def read_image(path: str | Path, *, upright: bool = False, gray: bool = True) -> np.ndarray:
@@ -204,7 +205,7 @@ def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndar
     if 0 < peak < row.lowest_peak:
         raise ValueError(
             f"{source}: the largest number is {peak}, {row.scale * float(peak):.3g} m as {row.name!r}: it "
-            "was probably written in meters or in 8 bits; if not, give encoding as {scale, dtype}"
+            f"was probably written in meters or in 8 bits; if not, give encoding {{scale: {row.scale:g}}}"
         )
     meters = row.to_meters(raw)
     if raw.any() and not meters.any():

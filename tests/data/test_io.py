@@ -99,6 +99,7 @@ def test_an_encoding_can_be_given_as_numbers() -> None:
     np.testing.assert_allclose(
         decode_depth(raw, {"scale": 0.5, "offset": 1, "dtype": "uint8"}, "x"), [[0, 5.5]]
     )
+    assert depth_encoding({"scale": 0.5, "dtype": "uint8"}).name == "{scale: 0.5, dtype: uint8}"
     far = np.full((2, 2), 300.0, np.float32)
     np.testing.assert_allclose(decode_depth(far, {"scale": 1.0, "dtype": "float"}, "x"), far)
 
@@ -119,8 +120,9 @@ def test_wrong_unit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"sixteen\.png.*uint16.*'nyu8' needs uint8"):
         read_depth(sixteen, "nyu8")
     whole_meters = write(tmp_path / "whole.png", MILLIMETERS // 1000)
-    with pytest.raises(ValueError, match=r"whole\.png.*largest number is 8.*meters"):
+    with pytest.raises(ValueError, match=r"whole\.png.*largest number is 8.*meters.*\{scale: 0\.001\}"):
         read_depth(whole_meters, "mm")
+    assert read_depth(whole_meters, {"scale": 0.001}).max() == np.float32(0.008)
     np.save(tmp_path / "float.npy", MILLIMETERS.astype(np.float32))
     with pytest.raises(ValueError, match=r"float\.npy.*median.*mm"):
         read_depth(tmp_path / "float.npy", "meters")
