@@ -77,6 +77,8 @@ class Detections2D(ArrayRows):
                 f"xyxy {self.xyxy.shape}, score {self.score.shape}, label {self.label.shape}: give (N, 4), "
                 "(N,), (N,)"
             )
+        if count and self.label.dtype.kind not in "iu":
+            raise ValueError(f"labels are {self.label.dtype}: give whole numbers, their places in names")
         if count and not 0 <= self.label.min() <= self.label.max() < len(self.names):
             raise ValueError(
                 f"labels up to {self.label.max()}, but {len(self.names)} class names: name every class"

@@ -476,6 +476,15 @@ class PinholeCamera:
         return np.asarray((seen / z) @ self.intrinsics.T)[..., :2]
 
 
+#: A camera, or its intrinsics [px] as :func:`intrinsic_matrix` takes them.
+CameraLike = PinholeCamera | Sequence[float] | np.ndarray
+
+
+def as_camera(camera: CameraLike) -> PinholeCamera:
+    """Return the camera that is given, or the level one of the intrinsics that are."""
+    return camera if isinstance(camera, PinholeCamera) else PinholeCamera(intrinsic_matrix(camera))
+
+
 def check_meters(depth: np.ndarray) -> None:
     """Raise ``ValueError`` for millimeters in ``depth`` of any shape: as meters, all would seem far.
 

@@ -9,6 +9,7 @@ import numpy as np
 from eldenet.boxes import BoxStyle, Detections2D
 from eldenet.geometry import from_corner
 from eldenet.perception.iou import iou_2d
+from eldenet.system.errors import some_of
 
 COCO_NAMES = (
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat",
@@ -60,7 +61,8 @@ class CallableDetector:
 
     Args:
         function: frame -> ``(xyxy (N, 4), score (N,), label (N,))``, as arrays or lists; boxes counted from
-            the image corner (the first pixel reaches from 0 to 1), as most detectors do.
+            the image corner (the first pixel reaches from 0 to 1), as most detectors do; labels are classes'
+            names, or their places in ``names``.
         names: of the classes.
         box_style: how its boxes enclose objects.
     """
@@ -74,8 +76,12 @@ class CallableDetector:
         self.function, self.names, self.box_style = function, tuple(names), box_style
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
-        """Find objects in ``(H, W, 3)`` uint8 RGB."""
+        """Find objects in ``(H, W, 3)`` uint8 RGB; ValueError for a label that is none of the names."""
         xyxy, score, label = (np.asarray(part) for part in self.function(frame))
+        if any(isinstance(one, str) for one in label.flat):
+            if unknown := sorted({*map(str, label.flat)} - {*self.names}):
+                raise ValueError(f"labels {some_of(unknown, 3)} are not in names: name every class")
+            label = np.array([self.names.index(name) for name in label.flat])
         return Detections2D(
             from_corner(xyxy.reshape(-1, 4)),
             score.reshape(-1),

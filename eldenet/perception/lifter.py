@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D, wrap_half
-from eldenet.geometry import PinholeCamera, check_intrinsics
+from eldenet.geometry import CameraLike, as_camera, check_intrinsics
 from eldenet.perception.box_methods import ObjectEvidence, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 from eldenet.perception.foreground import border_cuts, gather, trusted_edges
 from eldenet.perception.ground import GroundPlane, fit_ground, flat_ground
@@ -93,7 +93,7 @@ class BoxLifter:
         return SENSOR_SIGMA if known.mean() < _SPARSE else NETWORK_SIGMA
 
     def __call__(
-        self, depth: np.ndarray | DepthEstimate, detections: Detections2D, camera: PinholeCamera
+        self, depth: np.ndarray | DepthEstimate, detections: Detections2D, camera: CameraLike
     ) -> Boxes3D:
         """Lift all objects of one image.
 
@@ -104,7 +104,7 @@ class BoxLifter:
         Args:
             depth: ``(H, W)`` [m]; 0, negative and not finite are unknown. Or depth with its sigma.
             detections: in pixels of the depth map.
-            camera: of the image.
+            camera: of the image, or its intrinsics, ``(3, 3)`` or ``(fx, fy, cx, cy)`` [px].
 
         Raises:
             ValueError: the depth is not a map, the detections do not fit it, or the camera is that of no lens
@@ -113,7 +113,7 @@ class BoxLifter:
         Warns:
             UserWarning: no pixel is known, or half of the depth is beyond 100 m, as in millimeters.
         """
-        estimate = as_estimate(depth)
+        estimate, camera = as_estimate(depth), as_camera(camera)
         depth = np.asarray(estimate.depth)
         if depth.ndim != 2:
             raise ValueError(f"depth of shape {depth.shape}: give (H, W) in meters")

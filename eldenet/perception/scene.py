@@ -11,7 +11,7 @@ import numpy as np
 from eldenet.boxes import Box3D, Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.deploy.viewer import WORLD, log_boxes, log_camera, log_depth
-from eldenet.geometry import PinholeCamera
+from eldenet.geometry import CameraLike, PinholeCamera, as_camera
 from eldenet.perception.detectors import Detector
 from eldenet.perception.drawing import draw_bev, draw_boxes, picture_beside_bev
 from eldenet.perception.kitti_object import to_labels, write_labels
@@ -109,14 +109,15 @@ class Perception:
             the depth.
         detector: frame -> detections.
         lifter: see :class:`~eldenet.perception.lifter.BoxLifter`.
-        camera: of the images; None: every call gives it.
+        camera: of the images, or its intrinsics, ``(3, 3)`` or ``(fx, fy, cx, cy)`` [px]; None: every call
+            gives it.
         tracker: gives the boxes of a video identities and velocities; None: each image on its own.
     """
 
     depth_model: Callable[[np.ndarray], Any] | None
     detector: Detector
     lifter: BoxLifter
-    camera: PinholeCamera | None
+    camera: CameraLike | None
     _: KW_ONLY
     tracker: BoxTracker | None = None
 
@@ -126,7 +127,7 @@ class Perception:
         *,
         depth: np.ndarray | DepthEstimate | None = None,
         seconds: float = 1 / 30,
-        camera: PinholeCamera | None = None,
+        camera: CameraLike | None = None,
     ) -> Scene:
         """Perceive one image.
 
@@ -139,9 +140,10 @@ class Perception:
         Raises:
             ValueError: the image is not uint8 RGB, depth or intrinsics do not fit it, or no camera is known.
         """
-        camera = camera or self.camera
-        if camera is None:
+        given = self.camera if camera is None else camera
+        if given is None:
             raise ValueError("Perception has no camera: give camera=")
+        camera = as_camera(given)
         clock = [time.perf_counter()]
         if depth is None:
             assert self.depth_model is not None, "give depth="

@@ -1,6 +1,7 @@
 """Detectors without a file: known boxes, functions, torchvision; riders and bicycles become cyclists."""
 
 import numpy as np
+import pytest
 import torch
 from support.detector_files import FRAME, WANTED
 
@@ -23,6 +24,15 @@ def test_a_function_is_a_detector_that_counts_from_the_corner():
     found = CallableDetector(lambda frame: (WANTED.tolist(), [0.5, 0.6], [0, 1]), ("car", "dog"))(FRAME)
     np.testing.assert_array_equal(found.xyxy, WANTED - 0.5)
     assert found.classes == ["car", "dog"]
+
+
+def test_a_function_may_name_its_classes():
+    found = CallableDetector(lambda frame: (WANTED, [0.5, 0.6], ["dog", "car"]), ("car", "dog"))(FRAME)
+    assert found.label.tolist() == [1, 0]
+    with pytest.raises(ValueError, match="labels dog are not in names"):
+        CallableDetector(lambda frame: (WANTED, [0.5, 0.6], ["dog", "car"]), ("car",))(FRAME)
+    with pytest.raises(ValueError, match="labels are float64: give whole numbers"):
+        Detections2D(WANTED, np.ones(2), np.zeros(2), ("car",))
 
 
 def test_a_torchvision_network_gets_images_in_its_own_precision():

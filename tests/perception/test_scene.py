@@ -23,7 +23,8 @@ def view():
 
 def perceive(view, detections, *, lifter=BoxLifter(), camera=None, depth=None):  # noqa: B008 - immutable
     depth = view.depth if depth is None else depth
-    perception = Perception(lambda image: depth, FixedDetections([detections]), lifter, camera or view.camera)
+    camera = view.camera if camera is None else camera
+    perception = Perception(lambda image: depth, FixedDetections([detections]), lifter, camera)
     return perception(view.image)
 
 
@@ -38,6 +39,14 @@ def test_an_image_becomes_a_scene(view, tmp_path):
     read = read_labels(tmp_path / "a.txt")
     np.testing.assert_allclose(read.boxes.center, scene.boxes.center, atol=1e-3)
     np.testing.assert_allclose(read.xyxy, view.detections.xyxy, atol=1e-3)
+
+
+def test_a_matrix_is_a_camera(view):
+    scene = perceive(view, view.detections)
+    of_matrix = perceive(view, view.detections, camera=view.camera.intrinsics)
+    np.testing.assert_array_equal(of_matrix.boxes.center, scene.boxes.center)
+    with pytest.raises(ValueError, match=r"give \[fx, fy, cx, cy\]"):
+        perceive(view, view.detections, camera=np.eye(4))
 
 
 def test_the_depth_model_is_told_the_camera(view):
