@@ -1,5 +1,6 @@
 """Runs side by side: seeds share a row; runs that do not compare share no table."""
 
+import os
 import re
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
@@ -143,7 +144,8 @@ def find_runs(
     given: Sequence[str | None] = names or [None] * len(sources)
     for source, name in zip(map(Path, sources), given, strict=True):
         for where, record in _records_below(source).items():
-            run = scored_run(where, record, *SAME_FOR_METRICS, *needed)
+            run = {"run": os.path.relpath(Path(where).parent)}
+            run |= scored_run(where, record, *SAME_FOR_METRICS, *needed)  # a packed one has its name
             runs[where] = run if name is None else run | {"model": name}
     if not runs:
         raise FileNotFoundError(f"no {RUN_FILE} below {', '.join(map(str, sources))}: has a run finished?")
@@ -182,8 +184,8 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
         seeds = [run.get("seed") for run in members]
         if len(set(seeds)) < len(seeds):
             raise ValueError(
-                f"{len(members)} runs are called {model!r}, but seeds {seeds} repeat: give one name for each "
-                "of runs=[...] (names=[...]), or report them separately"
+                f"{len(members)} runs are called {model!r} ({some_of([*map(_place, members)], 3)}), but seeds "
+                f"{seeds} repeat: give one name for each of runs=[...] (names=[...]), or report them separately"
             )
         for section, text in _row_differences(members):
             raise ValueError(
@@ -251,12 +253,19 @@ def refuse_mixtures(runs: Sequence[Mapping[str, Any]], *, costs: bool) -> None:
     for name in (*SAME_FOR_METRICS, *(SAME_FOR_COSTS if costs else ())):
         of_cost = name in SAME_FOR_COSTS
         values = [(run["cost"] | run["hardware"] if of_cost else run)[name] for run in runs]
-        different = list(dict.fromkeys(map(str, values)))
-        if len(different) > 1:
-            raise ValueError(
-                f"these runs cannot be compared: {name} differs ({' | '.join(different[:3])}). Report them "
-                "separately" + (", or without costs (costs=false)" if of_cost else "")
-            )
+        for run, value in zip(runs, values, strict=True):
+            if str(value) != str(values[0]):
+                found = differences(values[0], value, name) or [f"{name}={values[0]} (there {value})"]
+                raise ValueError(
+                    f"{_place(runs[0])} and {_place(run)} cannot be compared: {name} differs "
+                    f"({some_of(found, 3)}). Report them separately"
+                    + (", or without costs (costs=false)" if of_cost else "")
+                )
+
+
+def _place(run: Mapping[str, Any]) -> str:
+    """Where a run is stored, or its model's name."""
+    return str(run.get("run", run["model"]))
 
 
 def table_of(

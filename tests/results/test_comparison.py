@@ -81,7 +81,7 @@ def test_constant_predictors_of_other_training_frames_are_told_apart():
 )
 def test_what_does_not_compare_is_refused(changes, word):
     runs = [RUN, run_with(model="other", **changes)]
-    with pytest.raises(ValueError, match=f"{word} differs"):
+    with pytest.raises(ValueError, match=f"^eldenet and other cannot be compared: {word} differs"):
         table_of(runs, COLUMNS)
     if "__" in next(iter(changes)):  # costs apart, the metrics still compare
         titles, _ = table_of(runs, COLUMNS, costs=False)
@@ -176,7 +176,8 @@ def test_runs_are_found_and_damaged_ones_named(tmp_path):
     for name in ("b", "a"):
         store(tmp_path / name, run_with(model=name))
     assert [run["model"] for run in find_runs([str(tmp_path)])] == ["a", "b"]
-    assert len(find_runs([str(tmp_path / "a" / "run.json")])) == 1
+    (alone,) = find_runs([str(tmp_path / "a" / "run.json")])
+    assert Path(alone["run"]).resolve() == tmp_path / "a"
     assert len(find_runs([str(tmp_path), str(tmp_path / "a")])) == 2  # not twice
     (tmp_path / "a" / "run.json").write_text("{")
     with pytest.raises(ValueError, match="not a valid JSON file"):
