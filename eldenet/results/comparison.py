@@ -184,8 +184,8 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
         seeds = [run.get("seed") for run in members]
         if len(set(seeds)) < len(seeds):
             raise ValueError(
-                f"{len(members)} runs are called {model!r} ({some_of([*map(_place, members)], 3)}), but seeds "
-                f"{seeds} repeat: give one name for each of runs=[...] (names=[...]), or report them separately"
+                f"{some_of([*map(_place, members)], 3)}: all are called {model!r}, but seeds {seeds} repeat: "
+                "give one name for each of runs=[...] (names=[...]), or report them separately"
             )
         for section, text in _row_differences(members):
             raise ValueError(
