@@ -11,7 +11,9 @@ import numpy as np
 
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.data.paths import composed, natural_order, visible_files
+from eldenet.deploy.video_files import VIDEO_ENDINGS
 from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
+from eldenet.system.errors import warn_once
 from eldenet.system.files import part_file, read_json, write_text
 from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
 from eldenet.visualization import photo_beside_depth, photo_beside_sigma, visible_range, write_picture
@@ -254,14 +256,16 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
     if not source.is_dir():
         raise FileNotFoundError(f"source={source} does not exist: give a picture, folder, video or camera:0")
     own = output.resolve()
-    paths = [
+    found = [
         path
-        for path in sorted(
-            visible_files(source, IMAGE_ENDINGS), key=lambda path: natural_order(path.as_posix())
-        )
+        for path in visible_files(source, (*IMAGE_ENDINGS, *VIDEO_ENDINGS))
         if path.is_file()
         and (own == source.resolve() or own not in path.resolve().parents)  # earlier results
     ]
+    found.sort(key=lambda path: natural_order(path.as_posix()))
+    paths = [path for path in found if path.suffix.lower() in IMAGE_ENDINGS]
+    if videos := [path for path in found if path.suffix.lower() in VIDEO_ENDINGS]:
+        warn_once(f"{source}: {len(videos)} videos are passed over: give each by itself, source={videos[0]}")
     if not paths:
         raise ValueError(f"{source} holds no pictures ({', '.join(IMAGE_ENDINGS)})")
     names = {path: path.relative_to(source).with_suffix("").as_posix() for path in paths}

@@ -208,6 +208,14 @@ def test_wrong_sources_are_refused(model_folder: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_videos_in_a_folder_of_pictures_are_named(model_folder: Path, tmp_path: Path, caplog) -> None:
+    save(tmp_path / "in/a.png", photo())
+    (tmp_path / "in/b.MOV").touch()
+    assert run(model_folder, tmp_path / "in", tmp_path / "out").images == 1
+    said = f"1 videos are passed over: give each by itself, source={tmp_path / 'in/b.MOV'}"
+    assert said in caplog.text
+
+
 def test_intrinsics_fit_pictures_of_one_size(model_folder: Path, tmp_path: Path) -> None:
     save(tmp_path / "in/a.png", photo())
     save(tmp_path / "in/b.png", photo(40, 30))
