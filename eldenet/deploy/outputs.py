@@ -265,7 +265,9 @@ def name_results(source: Path, output: Path) -> dict[Path, str]:
     found.sort(key=lambda path: natural_order(path.as_posix()))
     paths = [path for path in found if path.suffix.lower() in IMAGE_ENDINGS]
     if videos := [path for path in found if path.suffix.lower() in VIDEO_ENDINGS]:
-        warn_once(f"{source}: {len(videos)} videos are passed over: give each by itself, source={videos[0]}")
+        warn_once(
+            f"{source}: videos are passed over ({len(videos)}): give each by itself, source={videos[0]}"
+        )
     if not paths:
         raise ValueError(f"{source} holds no pictures ({', '.join(IMAGE_ENDINGS)})")
     names = {path: path.relative_to(source).with_suffix("").as_posix() for path in paths}

@@ -22,6 +22,7 @@ LEAST_POINTS = 50  # of a frame
 LEAST_FRAMES = 30
 LEAST_SPACING = 0.05  # of labeled pictures [m]
 LONGEST_STEP = 1.0  # between two poses [m]; a longer one joins two recordings
+FEWEST_NEAR = 0.25  # of the pictures between the first and last pose: share with a pose near in time
 
 Placed = tuple[str, np.ndarray, np.ndarray]
 """Name, picture ``(H, W, 3)`` uint8 RGB and pose ``(4, 4)`` of a frame."""
@@ -102,10 +103,10 @@ def place_frames(source: Source | Bag, poses: DrivePoses) -> Iterator[Placed]:
         yield from _of_film(VideoFile(Path(file)).frames(), poses)
         return
     paths = in_order([Path(path) for path in source.names])
-    times = [seconds_of(path.stem) for path in paths]
-    if poses.seconds is not None and poses.names is None and None not in times:
-        known = [poses.at(time) for time in times if time is not None]
-        _refuse_no_overlap(poses, known, times[0] or 0.0, times[-1] or 0.0)
+    times = [time for path in paths if (time := seconds_of(path.stem)) is not None]
+    if poses.seconds is not None and poses.names is None and len(times) == len(paths):
+        known = [poses.at(time) for time in times]
+        _refuse_other_clock(poses, known, times)
     else:
         known = poses.of_pictures(paths)
     for path, pose in zip(paths, known, strict=True):
@@ -124,13 +125,17 @@ def _of_film(frames: Iterator[tuple[np.ndarray, float]], poses: DrivePoses) -> I
         pose = known[-1]
         if pose is not None:
             yield f"{number:06d}", picture, pose
-    _refuse_no_overlap(poses, known, *(times[0], times[-1]) if times else (0.0, 0.0))
+    _refuse_other_clock(poses, known, times)
 
 
-def _refuse_no_overlap(poses: DrivePoses, known: list[np.ndarray | None], first: float, last: float) -> None:
-    if poses.seconds is not None and all(pose is None for pose in known):
+def _refuse_other_clock(poses: DrivePoses, known: list[np.ndarray | None], times: list[float]) -> None:
+    """Refuse pictures of which hardly any that was taken between the first and last pose has a pose near."""
+    stamps = np.asarray(poses.seconds)
+    covered = sum(stamps[0] <= time <= stamps[-1] for time in times)
+    if sum(pose is not None for pose in known) <= FEWEST_NEAR * covered:
         raise ValueError(
-            f"{poses.path} has poses from {poses.seconds[0]:.2f} to {poses.seconds[-1]:.2f} s, the pictures "
-            f"are from {first:.2f} to {last:.2f} s: give seconds of one clock (a video's begin at 0), at "
-            "least two poses per second"
+            f"{poses.path} has poses from {stamps[0]:.2f} to {stamps[-1]:.2f} s, one each "
+            f"{np.median(np.diff(stamps)):.3g} s, the pictures are from {min(times, default=0):.2f} to "
+            f"{max(times, default=0):.2f} s: give seconds of one clock (a video's begin at 0), at least two "
+            "poses per second"
         )

@@ -212,7 +212,7 @@ def test_videos_in_a_folder_of_pictures_are_named(model_folder: Path, tmp_path: 
     save(tmp_path / "in/a.png", photo())
     (tmp_path / "in/b.MOV").touch()
     assert run(model_folder, tmp_path / "in", tmp_path / "out").images == 1
-    said = f"1 videos are passed over: give each by itself, source={tmp_path / 'in/b.MOV'}"
+    said = f"videos are passed over (1): give each by itself, source={tmp_path / 'in/b.MOV'}"
     assert said in caplog.text
 
 

@@ -141,16 +141,22 @@ def test_labels_of_somebody_else_are_not_replaced(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("sign", "later", "said"),
+    ("unit", "sign", "later", "said"),
     [
-        (1, 1.7e9, r"poses from 1700000000.00 to .* pictures are from 0.00 to 5.90 s: give seconds of one"),
-        (-1, 0.0, r"in \d+ of \d+ pictures .*: 30 pictures are needed. .*x ahead, y left"),
+        (1000, 1, 0.0, r"poses from 0.00 to 5\d+.00 s, one each \d+ s, the pictures are from 0.00 to 5.90 s"),
+        (
+            1,
+            1,
+            1.7e9,
+            r"poses from 1700000000.00 to .* pictures are from 0.00 to 5.90 s: give seconds of one",
+        ),
+        (1, -1, 0.0, r"in \d+ of \d+ pictures .*: 30 pictures are needed. .*x ahead, y left"),
     ],
 )
-def test_poses_of_another_clock_or_another_hand_are_refused(tmp_path, sign, later, said):
+def test_poses_of_another_clock_or_another_hand_are_refused(tmp_path, unit, sign, later, said):
     drive(tmp_path, seconds=6.0)
     path = tmp_path / "odometry.csv"
-    rows = np.loadtxt(path, delimiter=",", skiprows=1) * (1, 1, sign, sign) + (later, 0, 0, 0)
+    rows = np.loadtxt(path, delimiter=",", skiprows=1) * (unit, 1, sign, sign) + (later, 0, 0, 0)
     np.savetxt(path, rows, fmt="%.6f", delimiter=",", header="seconds,x,y,heading", comments="")
     with pytest.raises(ValueError, match=said):
         adapt(setup(tmp_path))
