@@ -44,7 +44,8 @@ class Lens:
         origin: where one of these three comes from.
 
     Attributes:
-        origins: number of pictures by where their focal length comes from.
+        found: where the focal length of the last picture comes from.
+        origins: number of predicted pictures by where their focal length comes from.
         centered: whether :meth:`camera_of` had to assume square pixels and a principal point in the center.
 
     Raises:
@@ -64,6 +65,7 @@ class Lens:
         self.intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics)
         self.focal = focal if self.intrinsics is None else float(self.intrinsics[0, 0])
         self.given = self.focal is not None or fov is not None
+        self.found = ""
         self.origins: Counter[str] = Counter()
         self.centered = False
 
@@ -76,9 +78,9 @@ class Lens:
         if self.canonical_px is None:
             return None
         focal, origin = self._find(size, photo)
-        self.origins[
+        self.found = (
             UNKNOWN_LENS if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"
-        ] += 1
+        )
         return focal
 
     def camera_of(self, size: Sequence[int], photo: "Photo | None" = None) -> PinholeCamera | None:
@@ -115,7 +117,9 @@ class Lens:
         if self.canonical_px is not None:
             often = self.origins.most_common(3)
             counted = len(self.origins) > 1
-            parts = [what + (f" ({count} pictures)" if counted else "") for what, count in often]
+            parts = [
+                what + (f" ({count} picture{'s' * (count > 1)})" if counted else "") for what, count in often
+            ]
             more = len(self.origins) - len(often)
             lines.append(f"camera: {'; '.join(parts)}" + (f"; {more} more" if more else ""))
         elif self.given:

@@ -69,6 +69,7 @@ class Timed:
         start = time.perf_counter()
         depth = self.predictor(frame, focal=focal)
         self.seconds.append(time.perf_counter() - start)
+        self.lens.origins[self.lens.found] += 1
         return depth
 
 

@@ -39,9 +39,9 @@ def box_results(
 
     An image gets ``<name>_boxes.png`` and ``<name>_boxes.txt``; a video gets ``<name>_boxes.mp4`` and a text
     file per frame. Where the depth has a sigma, ``<name>_distances.csv`` has the interval of each distance.
-    At the end, the log shows the median time of each stage, and a note if depth and sizes contradict each
-    other (:class:`~eldenet.perception.size_check.SizeCheck`). The times [s] of the frames set
-    speeds and how long the video shows each frame, whatever frames were dropped in between.
+    At the end, the log shows the median time of each stage after the first image, and a note if depth and
+    sizes contradict each other (:class:`~eldenet.perception.size_check.SizeCheck`). The times [s] of the
+    frames set speeds and how long the video shows each frame, whatever frames were dropped in between.
 
     Args:
         perception: detector, lifter and, for a video, tracker.
@@ -97,9 +97,9 @@ def box_results(
         yield write
     spent["depth"] = deque(depth_seconds)  # the depth came with each image
     parts = [
-        f"{stage} {1000 * float(np.median(times)):.1f} ms"
+        f"{stage} {1000 * float(np.median([*times][1:])):.1f} ms"  # the first one warms up
         for stage, times in spent.items()
-        if times and (stage != "track" or is_video)
+        if len(times) > 1 and (stage != "track" or is_video)
     ]
     if parts:
         log.say(f"boxes: median {', '.join(parts)} per picture")

@@ -191,9 +191,13 @@ def test_predict_says_which_camera_it_assumed(
     film: int, overrides: list[str], line: str, lens_model: DepthNet, tmp_path: Path, capsys
 ) -> None:
     lens_model.save_pretrained(tmp_path / "model")
-    picture = photo_with_exif(tmp_path / "a.jpg", (48, 64), film)
-    predict(settings(tmp_path / "model", picture, tmp_path / "out", "formats=[depth]", *overrides))
-    assert line in capsys.readouterr().out
+    photo_with_exif(tmp_path / "in/a.jpg", (48, 64), film)
+    save(tmp_path / "in/tiny.png", photo(4, 4))  # is skipped, and does not count
+    words = ["formats=[depth]", "on_error=skip", *overrides]
+    predict(settings(tmp_path / "model", tmp_path / "in", tmp_path / "out", *words))
+    said = capsys.readouterr().out
+    assert line in said
+    assert "(1 picture)" not in said
 
 
 def test_no_lens_makes_depth_that_is_not_finite(
