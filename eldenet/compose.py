@@ -231,11 +231,14 @@ if not OmegaConf.has_resolver("now"):  # Hydra's own, which is there in its appl
         return datetime.now().strftime(pattern)
 
 
-@resolver("chosen")
-def _chosen(group: str, *, _root_: DictConfig) -> str:
-    """``${chosen:model}``: the name of the YAML file that was chosen from a group."""
+@resolver("network_name")
+def _network_name(*, _root_: DictConfig) -> str:
+    """``${network_name:}``: the chosen model; backbone and decoder where the command line replaces one."""
     hydra_config = _root_.hydra if "hydra" in _root_ else HydraConfig.get()
-    return str(hydra_config.runtime.choices[group])
+    taken, parts = hydra_config.runtime.choices, ("model/backbone", "model/decoder")
+    if any(word.partition("=")[0].lstrip("+") in parts for word in hydra_config.overrides.task):
+        return "_".join(str(taken[part]) for part in parts)
+    return str(taken["model"])
 
 
 @resolver("test_part")

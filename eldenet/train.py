@@ -45,7 +45,7 @@ class TrainSettings:
     canonical_focal: float | None = None
     # imagenet, dataset (from training frames), or {mean: [r, g, b], std: [r, g, b]}
     normalization: Any = "imagenet"
-    model_name: str = "${chosen:model}"  # name of the row in tables
+    model_name: str = "${network_name:}"  # of the row in tables; by default model, or backbone_decoder
     seed: int = 0  # of weights, order and augmentation
     # the run folder; for a sweep, the folder of its runs
     output: str = "runs/${data.name}-${model_name}-${now:%Y%m%d-%H%M%S}"

@@ -171,6 +171,16 @@ def test_every_command_composes(command: str) -> None:
         assert_every_option_is_shown(plain(config[OWN_PARTS[command]]), f"{command}.yaml")
 
 
+def test_a_network_of_other_parts_has_their_names() -> None:
+    for words, name in (
+        (["model=eldenet_s", "model.decoder.width=64"], "eldenet_s"),
+        (["model=mobilenet_v2_upconv", "model/decoder=fast_upconv"], "mobilenet_v2_fast_upconv"),
+        (["model/backbone=resnet18", "model_name=mine"], "mine"),
+        (["+experiment=indoor_lite"], "efficientnet_lite2_fast_upconv"),
+    ):
+        assert compose(TrainSettings, words).model_name == name
+
+
 @pytest.mark.parametrize(
     "wrong", ["trainer.epoch=3", "data.imput_size=[8,8]", "sead=1", "model/backbone=resnet19"]
 )
