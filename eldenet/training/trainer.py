@@ -411,6 +411,8 @@ class Trainer:
             backbone_lr_factor=self.backbone_lr_factor,
         )
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
+        if self.compile:  # anew for every shape; beyond its limit torch would go on without
+            torch._dynamo.config.recompile_limit = 8 * max(1, len(self.aspect_ratios))
         self._network = torch.compile(self.model) if self.compile else self.model
         self._criterion = self.loss
         # without accelerate's autocast, which would stay on in validation; train_step has its own
