@@ -140,10 +140,11 @@ def test_an_exported_file_is_a_checkpoint_too(small: Path, tmp_path: Path) -> No
         (photo(), {"intrinsics": (50, 50, 100, 20)}, "principal point .* lies outside"),
         (photo(), {"checkpoint": "eldenet"}, "network without trained weights"),
         (photo(), {"checkpoint": "eldenet_indor"}, "did you mean eldenet_indoor"),
+        (photo(), {"checkpoint": torch.nn.Identity()}, "a Identity: give a name or a path; for a loaded"),
     ],
 )
 def test_what_does_not_fit_is_answered_in_one_line(source: object, options: dict, wanted: str) -> None:
-    with pytest.raises((ValueError, FileNotFoundError), match=wanted) as error:
+    with pytest.raises((ValueError, FileNotFoundError, TypeError), match=wanted) as error:
         eldenet.estimate(source, **options)
     assert "\n" not in str(error.value)
 

@@ -123,6 +123,13 @@ def test_files_give_the_meters_of_torch(
     np.testing.assert_allclose(by_file(picture, fov=40) * share, depth, rtol=1e-4)
 
 
+def test_a_file_says_whose_focal_length_scales_its_depth(lens_model: DepthNet) -> None:
+    height, width = SIZE
+    of_frames = describe(lens_model, "lens", SIZE, camera_size=(3 * height, 4 * width))
+    assert "fx [px of the network's image]" in describe(lens_model, "lens", SIZE)["output"]
+    assert f"fx [px of the frame x {width} / {4 * width}]" in of_frames["output"]
+
+
 def photo_with_exif(path: Path, size: tuple[int, int], film: int, *, turned: bool = False) -> Path:
     path.parent.mkdir(exist_ok=True)
     exif = Image.Exif()

@@ -70,6 +70,7 @@ def test_planners_have_no_checkpoint_and_paper_policies_set_their_observer():
     (["sensor=noisy", "sensor.scale=0.2"], "memory=0.8: measured errors replace these"),
     (["arena.file=mine.yaml", "density=80", "arena.kind=rooms"],
      "density, arena.kind: not read with arena.file=mine.yaml, which describes the whole arena; leave"),
+    (["mode=evaluate", "arena.file=mine.yaml"], "one arena is for mode=record; give barn_worlds.npz"),
     (["course=triangle", "world=3", "split=val", "pedestrians=2"],
      "world, split, pedestrians: not read with course=triangle"),
     (["mode=train", "policy=dwa"], "mode=train trains a new driver"),

@@ -95,6 +95,13 @@ def test_a_learning_rate_among_overrides_counts_where_none_is_searched(tiny):
     assert "optimizer.lr=2.0e-3" in row.overrides
 
 
+def test_a_row_with_other_weights_does_not_state_what_they_have_seen(tiny):
+    whole = short((tiny / "sweep.yaml").read_text())
+    (tiny / "sweep.yaml").write_text(whole.replace("model=eldenet_s]", "model=eldenet_s, weights=a]"))
+    seen = {row.name: row.seen for row in read_study(tiny).rows}
+    assert (seen["eldenet_s"], seen["eldenet"]) == ("not stated", "the training frames alone")
+
+
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
 def test_every_row_of_every_study_composes(folder):
     study = read_study(folder)
