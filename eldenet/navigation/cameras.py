@@ -1,5 +1,6 @@
 """Sensors with a camera: rendered RGB, a depth network, and 3D boxes of detected objects."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,13 @@ from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method
 from eldenet.perception.priors import PRIORS, ClassPrior
-from eldenet.simulation.arena_view import ArenaView, Photo, robot_intrinsics, simulated_detections
+from eldenet.simulation.arena_view import (
+    ArenaView,
+    Photo,
+    camera_pose,
+    robot_intrinsics,
+    simulated_detections,
+)
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.depth_camera import StereoArtifacts
 from eldenet.simulation.robot import ROBOT
@@ -63,6 +70,8 @@ class Camera(SimulatedSensor):
         light: brightness of the lamps, relative to a normal day.
         drift: of the odometry.
         latency: from a scan until its command takes effect [s].
+        pitch: of the optical axis below the horizon [degrees]; a camera that looks down sees the foot of what
+            is near.
         artifacts: of a depth camera, on the renderer's own depth (no predictor); None: that depth is exact.
 
     Attributes:
@@ -82,6 +91,7 @@ class Camera(SimulatedSensor):
         light: float = 1.0,
         drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
         latency: float = 0.0,
+        pitch: float = 0.0,
         artifacts: StereoArtifacts | None = None,
     ) -> None:
         super().__init__(drift, latency)
@@ -95,7 +105,7 @@ class Camera(SimulatedSensor):
         self.predictor = None if predictor is None else for_camera(predictor, intrinsics)
         self.lifter, self.detector, self.artifacts = lifter, detector, artifacts
         self.wrong_columns = artifacts is not None
-        self.size, self.light = (height, width), light
+        self.size, self.light, self.pitch = (height, width), light, math.radians(pitch)
         self.sources: dict[str, tuple[str, Any]] = {}
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
@@ -116,14 +126,17 @@ class CameraInstance:
     def scan(self) -> Observation:
         """Render a frame, estimate its depth, and lift objects if there is a lifter."""
         sensor = self.sensor
-        self.photo = self.view.photo(self.world.pose, self.world.time, int(self.rng.integers(2**31)))
+        pose = self.world.pose
+        mounted = camera_pose(pose, sensor.pitch)
+        self.photo = self.view.photo(pose, self.world.time, int(self.rng.integers(2**31)), camera=mounted)
         frame = self.photo.image
         estimate = as_estimate(self._depth() if sensor.predictor is None else sensor.predictor(frame))
         depth, cautious = estimate.depth, None
-        ranges = depth_to_ranges(depth, self.view.intrinsics)
+        tilt = (sensor.pitch, 0.0)
+        ranges = depth_to_ranges(depth, self.view.intrinsics, tilt=tilt)
         if estimate.sigma is not None:
             low = estimate.interval(CAUTION)[0]
-            cautious = depth_to_ranges(depth, self.view.intrinsics, low=low)
+            cautious = depth_to_ranges(depth, self.view.intrinsics, tilt=tilt, low=low)
         fed_by = np.full(ROBOT.columns, FED_BY.index("depth"), np.intp)
         if sensor.lifter is None:
             return Observation(ranges, fed_by, frame, depth, cautious=cautious)
@@ -194,9 +207,12 @@ def camera(
     light: float = 1.0,
     drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
     latency: float = 0.0,
+    pitch: float = 0.0,
 ) -> Camera:
     """A camera with a network as :func:`depth_network` takes it; None: true depth."""
-    sensor = Camera(depth_network(checkpoint), size=size, light=light, drift=drift, latency=latency)
+    sensor = Camera(
+        depth_network(checkpoint), size=size, light=light, drift=drift, latency=latency, pitch=pitch
+    )
     if checkpoint is not None:
         sensor.sources["depth"] = (checkpoint, checkpoint)
     return sensor

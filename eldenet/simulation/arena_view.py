@@ -199,9 +199,12 @@ def robot_intrinsics(size: tuple[int, int]) -> np.ndarray:
     return pinhole(focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
-def camera_pose(pose: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the optical center ``(3,)`` [m] and world-from-camera rotation ``(3, 3)`` at a robot's pose."""
-    return np.array(ROBOT.camera_center(pose)), camera_rotation(pose[2])
+def camera_pose(pose: tuple[float, float, float], pitch: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the optical center ``(3,)`` [m] and world-from-camera rotation ``(3, 3)`` at a robot's pose.
+
+    ``pitch`` is the camera's below the horizon [rad].
+    """
+    return np.array(ROBOT.camera_center(pose)), camera_rotation(pose[2], -pitch)
 
 
 def _obstacle_numbers(model: Any, arena: Arena) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Averages the weights of two stages of one training.
+"""Averages the weights of trainings that began with the same weights, or of stages of one training.
 
-``python experiments/indoor/average.py runs/one runs/other runs/average`` writes the average as a saved model.
-Wortsman et al., "Model soups" (ICML 2022).
+``python experiments/indoor/average.py runs/one runs/other runs/average`` writes the average of two or
+more as a saved model. Wortsman et al., "Model soups" (ICML 2022).
 """
 
 import sys
@@ -10,16 +10,17 @@ import eldenet
 from eldenet.results.before_after import MEASURED
 
 
-def main(one: str, other: str, output: str) -> None:
-    """Average every tensor of floating point; the others are those of ``one``."""
-    model = eldenet.load(one)
-    theirs = eldenet.load(other).state_dict()
-    for name, tensor in model.state_dict().items():
-        if tensor.is_floating_point():
-            tensor.lerp_(theirs[name], 0.5)
+def main(*runs: str, output: str) -> None:
+    """Average every tensor of floating point; the others are those of the first run."""
+    model = eldenet.load(runs[0])
+    for number, run in enumerate(runs[1:], 2):
+        theirs = eldenet.load(run).state_dict()
+        for name, tensor in model.state_dict().items():
+            if tensor.is_floating_point():
+                tensor.lerp_(theirs[name], 1 / number)
     model.info = {name: fact for name, fact in model.info.items() if name not in MEASURED}
-    model.save_pretrained(output, info={"averaged": [one, other]})
+    model.save_pretrained(output, info={"averaged": list(runs)})
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(*sys.argv[1:-1], output=sys.argv[-1])

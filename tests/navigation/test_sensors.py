@@ -124,6 +124,12 @@ def pillar_columns() -> tuple[np.ndarray, np.ndarray]:
     return pillar, true
 
 
+def test_a_camera_that_looks_down_sees_the_same_ranges():
+    level, down = (instance_of(Camera(pitch=pitch)) for pitch in (0.0, 15.0))
+    assert level.scan().ranges == pytest.approx(down.scan().ranges, rel=0.1)
+    assert (level.photo.image != down.photo.image).any()
+
+
 def test_undetected_obstacles_come_from_depth():
     pillar, true = pillar_columns()
     found = simulated_detections(ArenaView(ARENA, (120, 160)).photo(ARENA.start), ARENA)
