@@ -44,13 +44,15 @@ def label_drive(
     Raises:
         ValueError: pictures and poses do not fit, or too few pictures show enough points.
     """
+    if most < LEAST_FRAMES:
+        raise ValueError(f"frames={most}: a drive needs {LEAST_FRAMES} or more")
     matrix = intrinsic_matrix(intrinsics)  # type: ignore[arg-type]
     placed = place_frames(source, poses)
     first = next(placed)
     size = (first[1].shape[0], first[1].shape[1])
     check_intrinsics(matrix, size)
     depth = MotionDepth(matrix, size, None if poses.mount is None else poses.mount.height)
-    steps = [apart(*pair) for pair in pairwise(poses.cameras)]
+    steps = [apart(*pair) for pair in pairwise(_during(source, poses))]
     travel = sum(min(way, LONGEST_STEP) + TURN_COUNTS * turn for way, turn in steps)
     counts: list[int] = []
     written = 0
@@ -87,6 +89,16 @@ def label_drive(
     )
     seen = depth.seen_intrinsics
     return [float(seen[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]
+
+
+def _during(source: Source | Bag, poses: DrivePoses) -> np.ndarray:
+    """The poses ``(N, 4, 4)`` between a video's beginning and end; all of another source."""
+    if isinstance(source, Bag) or not source.is_video or poses.seconds is None:
+        return poses.cameras
+    (file,) = source.names
+    video = VideoFile(Path(file))
+    end = video.announced / video.frames_per_second or np.inf
+    return poses.cameras[(poses.seconds >= 0) & (poses.seconds <= end)]
 
 
 def place_frames(source: Source | Bag, poses: DrivePoses) -> Iterator[Placed]:

@@ -74,6 +74,8 @@ def setup(folder: Path, *overrides: str) -> AdaptSettings:
 
 def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path, capsys):
     cameras = drive(tmp_path, seconds=10.0)
+    with (tmp_path / "odometry.csv").open("a") as file:  # which goes on after the video
+        file.writelines(f"\n{t / 4},{t},0,0" for t in range(41, 80))
     kept = adapt(setup(tmp_path, "frames=45"))
     record = json.loads((tmp_path / "run/run.json").read_text())
     assert record["kept"] is kept
