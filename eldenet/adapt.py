@@ -30,6 +30,8 @@ from eldenet.weights import find_checkpoint
 if TYPE_CHECKING:
     from eldenet.deploy.prediction import Source
 
+LEAST_PITCH = 0.5  # [degrees]; a smaller one is 0, or in radians
+
 
 @dataclass(frozen=True)
 class AdaptSettings:
@@ -75,6 +77,10 @@ class AdaptSettings:
         if pitch is not None and not -90 < pitch < 90:
             raise ValueError(
                 f"camera_pitch={pitch:g}: give degrees below the horizon, between -90 and 90, or null"
+            )
+        if pitch and abs(pitch) < LEAST_PITCH:
+            raise ValueError(
+                f"camera_pitch={pitch:g} looks like radians: give degrees, {math.degrees(pitch):.3g}, or 0"
             )
         if height is not None:
             check_camera_height(height)

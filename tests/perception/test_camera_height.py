@@ -135,6 +135,7 @@ def test_a_factor_that_no_camera_needs_is_refused(walk, height):
     [
         (["camera_height=80"], "in meters, .*0.05 to 5; 80 looks like centimeters: give 0.8$"),
         (["camera_height=0.8", "camera_pitch=95"], "camera_pitch=95"),
+        (["camera_height=0.8", "camera_pitch=0.09"], "camera_pitch=0.09 looks like radians: .*, 5.16, or 0"),
         (["camera_height=0.8", "intrinsics=null"], "give intrinsics="),
         (["camera_height=0.8", "intrinsics=[50,0,32,24]"], r"intrinsics=.*: give .*fx and fy above 0"),
         (["camera_height=0.8", "source=null"], "give source="),
