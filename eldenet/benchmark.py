@@ -6,6 +6,7 @@ python -m eldenet.benchmark study=experiments/table3_rivals runtimes=[onnxruntim
 """
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -87,6 +88,8 @@ class BenchmarkSettings:
         for name in ("rounds", "calibration"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}={getattr(self, name)}: give 1 or more")
+        if not 0 < self.seconds < math.inf:
+            raise ValueError(f"seconds={self.seconds}: give a time above 0 for each turn")
         pairs = [isinstance(size, list) and [*map(type, size)] == [int, int] for size in listed(self.sizes)]
         if not all(pairs):
             raise ValueError(f"sizes={self.sizes}: give [[height, width], ...] in pixels")
@@ -220,11 +223,14 @@ def study_models(s: BenchmarkSettings) -> Networks:
     from eldenet.studies.latency import row_networks, write_costs
     from eldenet.studies.plan import read_study
 
+    study = read_study(str(s.study))
     lists = ("batches", "runtimes", "precisions", "threads")
     several = [name for name in lists if len(listed(getattr(s, name))) != 1]
     if several:
-        raise ValueError(f"a study has one latency per row: give one value each for {', '.join(several)}")
-    study = read_study(str(s.study))
+        raise ValueError(
+            f"a study has one latency per row: give one value each for {', '.join(several)}, such as "
+            "runtimes=[onnxruntime]"
+        )
     if study.latency is not None and Path(study.latency).parent != Path():
         raise ValueError(
             f"{study.name} shows the latencies of another study, in {study.latency}: measure that one "

@@ -93,8 +93,9 @@ def to_settings(config: DictConfig, **changes: Any) -> Any:
     for name in names:
         if OmegaConf.is_missing(config, name):
             raise ValueError(f"give {name}=... on the command line")
-    if config.get("seed", 0) < 0:
-        raise ValueError(f"seed={config.seed}: give 0 or more")
+    for name in ("seed", "world"):
+        if config.get(name, 0) < 0:
+            raise ValueError(f"{name}={config[name]}: give 0 or more")
     try:
         return settings(**{name: _instance(config[name]) for name in names if name in config})
     except InterpolationToMissingValueError as error:

@@ -326,6 +326,11 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
     if folder.is_dir():
         in_run = folder / "model"
         return _complete(in_run if (in_run / CONFIG_NAME).is_file() else folder, folder)
+    if folder.is_file():
+        raise ValueError(
+            f"{source} is a file: give a run folder or a saved model; exported files are for eldenet predict "
+            "and eldenet.deploy.runtimes.load"
+        )
     if folder.is_absolute() or str(source).count("/") != 1 or folder.parent.is_dir():
         raise FileNotFoundError(f"{source} is neither a local folder nor a Hub id of the form 'owner/name'")
     from huggingface_hub import snapshot_download

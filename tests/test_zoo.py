@@ -155,6 +155,9 @@ def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         read("~/runs/mine/model")
         with pytest.raises(FileNotFoundError, match="~/nothing is neither a local folder"):
             read("~/nothing")
+    (tmp_path / "photo.jpg").touch()
+    with pytest.raises(ValueError, match=r"photo\.jpg is a file: give a run folder"):
+        eldenet.load("~/photo.jpg")
     with pytest.raises(FileNotFoundError, match=r"~/nothing\.onnx does not exist"):
         runtimes.load("~/nothing.onnx")
     assert sha256("~/runs/mine") == sha256(tmp_path / "runs/mine") is not None

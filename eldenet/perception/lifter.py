@@ -79,6 +79,8 @@ class BoxLifter:
 
     def __post_init__(self) -> None:
         one_of("method", self.method, METHODS)
+        if isinstance(self.ground, str) and self.ground != "fit":
+            raise ValueError(f"ground={self.ground!r}: give fit, or null for no ground")
         if self.camera_height is not None:
             flat_ground(self.camera_height)  # refuses another unit
         for name, sigma in (("depth_sigma", self.depth_sigma), ("small_sigma", self.small_sigma)):

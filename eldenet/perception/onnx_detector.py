@@ -16,7 +16,7 @@ from eldenet.boxes import BoxStyle, Detections2D
 from eldenet.perception.detectors import COCO_NAMES, check_frame
 from eldenet.perception.postprocess import fit_image, select_boxes
 from eldenet.system.checks import one_of
-from eldenet.system.errors import reading
+from eldenet.system.errors import reading, some_of
 from eldenet.system.onnx_files import open_session
 
 _STRIDES = (8, 16, 32)
@@ -169,7 +169,9 @@ class OnnxDetector:
         self.keep, self.box_style = keep, box_style
         unknown = sorted(set(keep or ()) - set(self.names))
         if unknown:
-            raise ValueError(f"keep={list(keep or ())}: {path} has no {unknown}, only {list(self.names)}")
+            raise ValueError(
+                f"keep: {path} has no {some_of(unknown, 3)}, only {', '.join(map(str, self.names))}"
+            )
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
         """Find objects in ``(H, W, 3)`` uint8 RGB."""

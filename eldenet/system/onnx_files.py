@@ -55,7 +55,8 @@ def open_session(path: str | Path, providers: Sequence[str] = (CPU,), *, threads
     import onnxruntime
 
     if not Path(path).is_file():
-        raise FileNotFoundError(f"{path} does not exist: give the path of an .onnx file")
+        what = "is a folder" if Path(path).is_dir() else "does not exist"
+        raise FileNotFoundError(f"{path} {what}: give the path of an .onnx file")
     available = onnxruntime.get_available_providers()
     usable = [name for name in providers if name in available]
     if not usable:

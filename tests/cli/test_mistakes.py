@@ -106,6 +106,8 @@ def answer(line: str) -> str:
         ("predict source=a input_size=640x480", "input_size='640x480': give [height, width] in pixels"),
         ("predict source=[a,b]", "source=[a,b]: give a text"),
         ("benchmark models=[eldenet] threads=0", "threads=0: give a list of whole numbers of 1 or more"),
+        ("benchmark models=[eldenet] seconds=-1", "seconds=-1.0: give a time above 0"),
+        ("navigate world=-3", "world=-3: give 0 or more"),
         ("benchmark models=[eldenet] runtimes=[onnx]", "runtimes='onnx': give one of torch, "),
         ("demo port=80000", "port=80000: give a number from 0 (any free port) to 65535"),
         # what is missing
