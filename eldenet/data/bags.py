@@ -86,7 +86,10 @@ class Bag:
         if named is None and len(found) == 1:
             return found[0]
         if named not in found:
-            raise ValueError(f"{self.path} has {what} in {', '.join(found)}: give {setting}= one of them")
+            other = "" if named is None else f", not {named}"
+            raise ValueError(
+                f"{self.path} has {what} in {', '.join(found)}{other}: give {setting}= one of them"
+            )
         return named
 
     def _has_colors(self, topic: str) -> bool:

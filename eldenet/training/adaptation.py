@@ -181,7 +181,8 @@ def refuse_unfit(frames: DepthDataset, held_out: DepthDataset) -> list[int]:
             f"{len(known)} training frames and {len(of_held_out)} held-out frames have a known depth at "
             f"{LEAST_PIXELS} pixels or more: {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed. "
             "A few known distances do not calibrate a camera, because the error of the depth differs from "
-            "image to image. Record a few hundred frames, or give camera_height= with source="
+            "image to image. Record a few hundred frames or a longer drive, or give camera_height= and "
+            "source= alone"
         )
     refuse_copies(list(of_held_out.values()), list(seen.values()))
     return known

@@ -122,7 +122,7 @@ def test_odometry_that_is_missing_or_not_the_only_one_is_named(tmp_path):
     bag = Bag(write_bag(tmp_path, walk(odometry(START, 0, 0, 0, "/visual/odom"))))
     with pytest.raises(ValueError, match=r"has odometry in /visual/odom, /odom: give poses= one of them"):
         bag.write_odometry(None, tmp_path / "o.csv")
-    with pytest.raises(ValueError, match=r"has odometry in /visual/odom, /odom: give poses= one of them"):
+    with pytest.raises(ValueError, match=r"has odometry in /visual/odom, /odom, not /wheel: give poses= one"):
         bag.write_odometry("/wheel", tmp_path / "o.csv")
     assert bag.write_odometry("/odom", tmp_path / "o.csv").read_text().count("\n") == 4
 
