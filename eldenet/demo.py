@@ -52,9 +52,8 @@ class DemoSettings:
     """What ``eldenet demo`` reads."""
 
     checkpoint: str = "eldenet_indoor"  # packaged weights, a run folder, a model folder or a Hub id
-    size: list[int] | None = (
-        None  # (height, width) that the network sees [px]; null: the size of its training
-    )
+    # (height, width) that the network sees [px]; null: the size of its training
+    size: list[int] | None = None
     # folder for the page, which any web server can serve; null: demo in the cache folder
     output: str | None = None
     serve: bool = True  # serve it on this machine, with the headers that allow threads
