@@ -85,7 +85,9 @@ def _open(path: Path) -> Any:
     import av
 
     # PyAV 19 takes metadata that are no UTF-8 without being told
-    lenient = {} if int(av.__version__.split(".")[0]) >= 19 else {"metadata_errors": "replace"}
+    lenient: dict[str, Any] = (
+        {} if int(av.__version__.split(".")[0]) >= 19 else {"metadata_errors": "replace"}
+    )
     # as "file:", no name is read as an address
     container = av.open(f"file:{path}", options={"protocol_whitelist": "file"}, **lenient)
     if PLAYLISTS & set(container.format.name.split(",")):
