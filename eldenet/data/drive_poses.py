@@ -15,9 +15,10 @@ from eldenet.system.files import read_table, read_text
 BASE = ("x", "y", "heading")
 MATRIX = tuple(f"m{row}{column}" for row in range(3) for column in range(4))
 NAMES = ("image", "rgb")  # columns that name the picture of a row
+TUM = ("seconds", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 ALLOWED = (
     "seconds,x,y,heading (of the robot's base: meters, radians), or m00 ... m23 (camera to world, meters) "
-    "with a column seconds, image or rgb"
+    "with a column seconds, image or rgb, or TUM's lines of eight numbers (time tx ty tz qx qy qz qw)"
 )
 LEAST_WAY = 1.0  # of a drive [m]
 FASTEST, FASTEST_TURN = 10.0, 4.0  # of a drive on average [m/s], [rad/s]
@@ -102,7 +103,7 @@ class DrivePoses:
 
 
 def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
-    """Read a CSV file of poses.
+    """Read a CSV file of poses, or camera poses in TUM's format, as SLAM writes them.
 
     Convention: x ahead, y left, heading counter-clockwise (REP 103); cameras x right, y down, z forward.
 
@@ -115,7 +116,11 @@ def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
         ValueError: columns are missing, numbers are not finite, times do not increase, units look wrong, or
             the camera does not drive.
     """
-    header = read_text(path, "give a CSV file of poses").partition("\n")[0].strip()
+    text = read_text(path, "give a CSV file of poses")
+    lines = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if lines and all(len(line) == len(TUM) for line in lines):
+        return _tum_poses(path, lines, mount)
+    header = text.partition("\n")[0].strip()
     columns = [name.strip() for name in header.split(",")]
     of_base = all(name in columns for name in BASE)
     if not of_base and not all(name in columns for name in MATRIX):
@@ -124,8 +129,8 @@ def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
         raise ValueError(
             f"{path} has poses of a robot's base: give camera_height= [m] and camera_pitch= [degrees]"
         )
-    if mount is not None and not of_base:
-        raise ValueError(f"{path} has poses of the camera itself: leave out camera_height and camera_pitch")
+    if not of_base:
+        _refuse_mount(path, mount)
     label = next((name for name in NAMES if name in columns), None)
     with_times = "seconds" in columns
     numbers = [*(BASE if of_base else MATRIX), *(["seconds"] if with_times else [])]
@@ -135,8 +140,8 @@ def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
     values = np.array([[_number(row[name], name, path, line) for name in numbers]
                        for line, row in enumerate(table, 2)])  # fmt: skip
     seconds = values[:, -1] if with_times else None
-    if seconds is not None and (back := np.flatnonzero(np.diff(seconds) <= 0)).size:
-        raise ValueError(f"{path}, line {back[0] + 3}: seconds do not increase: sort the rows by time")
+    if seconds is not None:
+        _check_order(path, seconds)
     if of_base:
         _check_way(path, values[:, :2], values[:, 2], seconds)
         cameras = np.stack([_on_robot(pose, mount or Mount(0.0)) for pose in values[:, :3]])
@@ -150,6 +155,33 @@ def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
         _check_way(path, cameras[:, :3, 3], None, seconds)
     names = None if label is None else tuple(row[label] for row in table)
     return DrivePoses(path, cameras, seconds, names, mount if of_base else None)
+
+
+def _tum_poses(path: Path, lines: list[list[str]], mount: Mount | None) -> DrivePoses:
+    """Camera to world from lines of a time, a place and a quaternion (x, y, z, w)."""
+    from scipy.spatial.transform import Rotation
+
+    _refuse_mount(path, mount)
+    values = np.array([[_number(cell, name, path, number) for cell, name in zip(line, TUM, strict=True)]
+                       for number, line in enumerate(lines, 1)])  # fmt: skip
+    if np.abs(np.linalg.norm(values[:, 4:], axis=1) - 1).max() > 0.01:
+        raise ValueError(f"{path}: qx, qy, qz, qw are no unit quaternions: give time tx ty tz qx qy qz qw")
+    _check_order(path, values[:, 0])
+    _check_way(path, values[:, 1:4], None, values[:, 0])
+    cameras = np.tile(np.eye(4), (len(values), 1, 1))
+    cameras[:, :3, :3] = Rotation.from_quat(values[:, 4:]).as_matrix()
+    cameras[:, :3, 3] = values[:, 1:4]
+    return DrivePoses(path, cameras, values[:, 0], None, None)
+
+
+def _refuse_mount(path: Path, mount: Mount | None) -> None:
+    if mount is not None:
+        raise ValueError(f"{path} has poses of the camera itself: leave out camera_height and camera_pitch")
+
+
+def _check_order(path: Path, seconds: np.ndarray) -> None:
+    if (back := np.flatnonzero(np.diff(seconds) <= 0)).size:
+        raise ValueError(f"{path}: seconds do not increase after {seconds[back[0]]:g}: sort the rows by time")
 
 
 def _number(text: str, column: str, path: Path, line: int) -> float:

@@ -70,6 +70,22 @@ def test_camera_poses_belong_to_the_pictures_that_they_name(tmp_path):
         poses.of_pictures([Path("a.jpg"), Path("b.jpg")])
 
 
+def test_poses_of_slam_in_tum_s_format_are_those_of_their_matrices(tmp_path):
+    turned = "0 0.7071068 0 0.7071068"  # the camera looks along the world's x
+    lines = [f"{1700000000 + 0.1 * i:.1f} {0.2 * i:.1f} 0 1.5 {turned}" for i in range(12)]
+    path = tmp_path / "KeyFrameTrajectory.txt"
+    path.write_text("\n".join(["# timestamp tx ty tz qx qy qz qw", *lines]))
+    poses = read_poses(path, None)
+    np.testing.assert_allclose(poses.cameras[3][:3, 3], [0.6, 0.0, 1.5])
+    np.testing.assert_allclose(poses.cameras[3][:3, 2], [1.0, 0.0, 0.0], atol=1e-6)
+    assert poses.at(1700000000.25)[0, 3] == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="leave out camera_height"):
+        read_poses(path, MOUNT)
+    path.write_text("\n".join(line.replace(turned, "1 1 1 1") for line in lines))
+    with pytest.raises(ValueError, match="no unit quaternions"):
+        read_poses(path, None)
+
+
 def test_rows_without_names_are_one_for_each_picture(tmp_path):
     rows = straight()[:, 1:]
     poses = read_poses(odometry(tmp_path / "o.csv", rows, "x,y,heading"), MOUNT)
@@ -103,7 +119,7 @@ def spoiled() -> np.ndarray:
             changed(3, lambda heading: np.arange(21) * 30.0),
             r"turns 7.08 rad per second: give heading in radians",
         ),
-        (changed(0, lambda seconds: seconds[::-1]), r"line 3: seconds do not increase"),
+        (changed(0, lambda seconds: seconds[::-1]), r"seconds do not increase after"),
         (spoiled(), r"line 6: y is 'nan': give a finite number"),
         (straight()[:1], r"has 1 poses"),
     ],
