@@ -14,7 +14,7 @@ from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
 
 SIZE = (32, 40)
 INTRINSICS = pinhole(33.0, 35.0, 18.5, 15.0)
-GOLDEN = "38220f7cc199810b1b2400f75ed11dd6220cf189aeeda4a0a7de4bf0076ce6cf"
+GOLDEN = "fb13b62a54a614f2c6e01c3aba92f381edbab36cb1e32848d4d5423b2f95cb9f"
 
 
 def compiled(text: str) -> tuple[mujoco.MjModel, mujoco.MjData]:

@@ -141,5 +141,6 @@ class Palette:
         looks = "\n".join(
             f'<material name="m{i}" rgba="{numbers(row[:3])} 1"/>' for i, row in enumerate(self.rows)
         )
-        data = "\n".join(numbers(row) for row in self.rows)
-        return f'<asset>\n{looks}\n</asset>\n<custom>\n<numeric name="materials" data="{data}"/>\n</custom>'
+        # one for each: MuJoCo 3 takes at most 500 numbers in one
+        data = "\n".join(f'<numeric name="m{i}" data="{numbers(row)}"/>' for i, row in enumerate(self.rows))
+        return f"<asset>\n{looks}\n</asset>\n<custom>\n{data}\n</custom>"
