@@ -244,7 +244,7 @@ def test_the_lens_of_a_bag_is_said_to_be_its_own(tmp_path: Path, capsys) -> None
 
 def test_a_bag_takes_a_topic_and_no_second_lens(model_folder: Path, tmp_path: Path) -> None:
     bag = bag_of(tmp_path, [photo()], [1.7e9])
-    with pytest.raises(ValueError, match=r"has pictures in /camera/image_raw: give topic= one of them"):
+    with pytest.raises(ValueError, match=r"in /camera/image_raw, not /rear: give topic= one of them"):
         run(model_folder, bag, tmp_path / "out", "topic=/rear")
     with pytest.raises(ValueError, match=r"fov: the CameraInfo of a bag says the lens; intrinsics= replaces"):
         run(model_folder, bag, tmp_path / "out", "fov=60")
