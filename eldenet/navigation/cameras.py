@@ -10,7 +10,7 @@ import numpy as np
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera
-from eldenet.navigation.ranges import CAUTION, columns_of, depth_to_ranges, footprints_to_ranges
+from eldenet.navigation.ranges import CAUTION, MOST_TILTED, columns_of, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import (
     FED_BY,
     Drift,
@@ -78,7 +78,7 @@ class Camera(SimulatedSensor):
         sources: name -> name and file of each network, for ``run.json``.
 
     Raises:
-        ValueError: frames too narrow for the driver's columns, or light out of range.
+        ValueError: frames too narrow for the driver's columns, or light or pitch out of range.
     """
 
     def __init__(
@@ -99,6 +99,9 @@ class Camera(SimulatedSensor):
             raise ValueError(
                 f"sensor.light={light}: give a factor above 0, up to {MAX_LIGHT:g}; 1 is a normal day"
             )
+        if not abs(math.radians(pitch)) <= MOST_TILTED:
+            most = math.degrees(MOST_TILTED)
+            raise ValueError(f"sensor.pitch={pitch}: give degrees from -{most:.1f} to {most:.1f}")
         height, width = (int(side) for side in size)
         intrinsics = robot_intrinsics((height, width))
         columns_of(width, intrinsics)  # raises if the frames are too narrow

@@ -128,6 +128,8 @@ def test_a_camera_that_looks_down_sees_the_same_ranges():
     level, down = (instance_of(Camera(pitch=pitch)) for pitch in (0.0, 15.0))
     assert level.scan().ranges == pytest.approx(down.scan().ranges, rel=0.1)
     assert (level.photo.image != down.photo.image).any()
+    with pytest.raises(ValueError, match=r"sensor\.pitch=40: give degrees from -28.6 to 28.6"):
+        Camera(pitch=40)
 
 
 def test_undetected_obstacles_come_from_depth():
