@@ -108,7 +108,7 @@ def recognize_folder(folder: Path) -> bool:
 
 def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found: "DataCheck") -> None:
     """Print one table with a column per split that could be opened, then what is wrong or in doubt."""
-    from eldenet.data.inspection import doubts, encoding_of
+    from eldenet.data.inspection import doubts, encoding_of, inverse_doubt
 
     opened = [split for split in found.splits if not split.fault]
     if cells := [_cells(split) for split in opened]:
@@ -130,6 +130,10 @@ def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found
     ]
     for split_name, line, _ in guesses:
         log.say(f"{split_name}: {line}")
+    inverse = [(split.split, inverse_doubt(*split.farther_below)) for split in found.splits]
+    for split_name, line in inverse:
+        if line:
+            log.say(f"{split_name}: {line}")
     if found.faults:
         verdict = "something is wrong, see above"
     elif any(implausible for *_, implausible in guesses):

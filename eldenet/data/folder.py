@@ -241,7 +241,9 @@ def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) ->
             "2 blocks and a gap of at least 0"
         )
     if count < 2:
-        raise ValueError(f"{count} frame cannot be split: use split='all'")
+        raise ValueError(
+            f"{count} frame cannot be split: give more for a training, or score it with data.test_split=all"
+        )
     parts = np.array_split(np.arange(count), min(blocks, count))
     val = {int(i) for part in _drawn(len(parts), fraction, seed) for i in parts[part]}
     beside = {i + step for i in val for step in range(-gap, gap + 1)} - val

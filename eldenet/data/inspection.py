@@ -16,6 +16,7 @@ from eldenet.data.mix import Mix
 from eldenet.data.splits import SPLITS, evenly_spaced, same_splits, subset_of
 
 PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
+LEAST_FRAMES, MOST_FARTHER = 5, 0.6  # frames; share of them that is farther below (real depth: up to 0.25)
 # Bins of 1 % from 1 mm to 1 km: percentiles to half a percent without keeping a pixel.
 _EDGES = np.geomspace(1e-3, 1e3, 1390)
 _PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -40,6 +41,8 @@ class SplitCheck:
         histogram: ``(20,)`` pixels in equal steps of depth from 0 to ``max_depth``.
         percentiles: of known depth within the range [m].
         median: of all depth, also of what lies outside the range [m]; None: there is none.
+        farther_below: of the frames with depth at the top and at the bottom, how many are farther at the
+            bottom, and how many are not.
         min_depth: nearest depth that counts as known [m].
         max_depth: farthest depth that counts as known [m].
         valid: share of pixels with depth within the range.
@@ -63,6 +66,7 @@ class SplitCheck:
     histogram: list[int] = field(default_factory=list)
     percentiles: dict[str, float] = field(default_factory=dict)
     median: float | None = None
+    farther_below: list[int] = field(default_factory=lambda: [0, 0])
     min_depth: float = 0.0
     max_depth: float = 0.0
     valid: float = 0.0
@@ -216,6 +220,8 @@ def check_split(
         values = depth[known & (depth >= dataset.min_depth) & (depth <= dataset.max_depth)]
         if not values.size:
             found.without_depth.append(name)
+        if (below := is_farther_below(depth)) is not None:
+            found.farther_below[0 if below else 1] += 1
         pixels, valid = pixels + depth.size, valid + values.size
         outside += int(known.sum()) - values.size
         fine += np.histogram(values, _EDGES)[0]
@@ -262,6 +268,23 @@ def doubts(median: float, encoding: Encoding) -> tuple[str, bool]:
     if others:
         line += "; it would be " + ", ".join(f"{at:.3g} m as {name}" for name, at in others.items())
     return line, implausible
+
+
+def is_farther_below(depth: np.ndarray) -> bool | None:
+    """Whether the bottom third of a map ``(H, W)`` is farther than its top third; None: one has no depth."""
+    third = depth.shape[0] // 3
+    top, bottom = (part[np.isfinite(part) & (part > 0)] for part in (depth[:third], depth[-third:]))
+    return bool(np.median(bottom) > np.median(top)) if top.size and bottom.size else None
+
+
+def inverse_doubt(farther: int, others: int) -> str:
+    """Return a line if most frames are farther at the bottom, where a camera sees the floor; else ""."""
+    if farther + others < LEAST_FRAMES or farther < MOST_FARTHER * (farther + others):
+        return ""
+    return (
+        f"in {farther} of {farther + others} frames the bottom is farther than the top: is it inverse depth "
+        "or disparity? Convert it to depth first"
+    )
 
 
 def identities(dataset: DepthDataset) -> dict[str, str]:

@@ -99,7 +99,7 @@ def depth_encoding(encoding: Encoding) -> DepthEncoding:
         if encoding not in ENCODINGS:
             raise ValueError(
                 f"encoding={encoding!r} is not known: give one of {sorted(ENCODINGS)}, or "
-                "{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}"
+                "{scale: meters per step, offset: steps, dtype: uint8 | uint16 | int32 | float}"
             )
         return ENCODINGS[encoding]
     unknown = set(encoding) - {"scale", "offset", "dtype"}

@@ -5,7 +5,7 @@ import os
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from eldenet.system.errors import reading, some_of, warn_once
@@ -34,12 +34,26 @@ def visible_files(folder: Path, endings: Sequence[str]) -> list[Path]:
 
     Pictures in other formats are counted and named in a warning.
     """
-    shown = []
-    for place, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
+    return with_endings(files_below(folder), endings, folder)
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """Yield the files in a folder and below, but no hidden ones.
+
+    A link to a folder elsewhere, as of a scene on another disk, is followed once; one to a folder that is
+    walked anyway is not.
+    """
+    walked = {folder.resolve()}
+    for place, folders, names in os.walk(folder, followlinks=True):
         here = Path(place)
-        shown += [here / name for name in names if not name.startswith(".")]
-    return with_endings(shown, endings, folder)
+        yield from (here / name for name in names if not name.startswith("."))
+        folders[:] = [name for name in sorted(folders) if not name.startswith(".")]
+        for name in [name for name in folders if (here / name).is_symlink()]:
+            target = (here / name).resolve()
+            if any(target.is_relative_to(one) or one.is_relative_to(target) for one in walked):
+                folders.remove(name)
+            else:
+                walked.add(target)
 
 
 def with_endings(paths: Iterable[Path], endings: Sequence[str], folder: Path) -> list[Path]:

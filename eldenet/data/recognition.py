@@ -6,7 +6,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,9 +16,10 @@ from eldenet.data.camera_files import CAMERA_ENDINGS, Camera, read_camera
 from eldenet.data.folder import PARTS, FolderDataset, named_parts
 from eldenet.data.frame_files import Key, find_frame_files, other_ways, partners
 from eldenet.data.frame_lists import read_frame_list, stated_scale
-from eldenet.data.inspection import PLAUSIBLE
+from eldenet.data.inspection import PLAUSIBLE, inverse_doubt, is_farther_below
 from eldenet.data.io import ENCODINGS, IMAGE_ENDINGS, is_turned, read_image, read_raw_depth
 from eldenet.data.known_layouts import KNOWN_LAYOUTS
+from eldenet.data.paths import files_below
 from eldenet.data.recordings import DEPTH_ENDINGS, Layout, RecordedFrame
 from eldenet.data.splits import evenly_spaced
 from eldenet.geometry import same_aspect, size_of_aspect
@@ -99,6 +100,8 @@ def _recordings(folder: Path) -> list[Recognized]:
     files = _visible(folder)
     series = _series(folder, files)
     candidates = list(_lists(folder, files)) or list(_pairs(folder, series))
+    if not candidates and (refused := _refused(folder, files)):
+        return [Recognized("files that are not read as they are", refused)]
     found: dict[frozenset[tuple[str, ...]], Recognized] = {}
     for title, settings in candidates:
         layout = Layout(**settings, tolerance=TOLERANCE)
@@ -115,14 +118,24 @@ def _recordings(folder: Path) -> list[Recognized]:
 
 def _visible(folder: Path) -> list[str]:
     """Files below a folder, without hidden ones."""
-    found = []
-    for path in folder.rglob("*"):
-        parts = path.relative_to(folder).parts
-        if path.is_file() and not any(part.startswith(".") for part in parts):
-            found.append("/".join(parts))
-            if len(found) == MOST_FILES:
-                break
-    return sorted(found)
+    files = (path for path in files_below(folder) if path.is_file())
+    return sorted(path.relative_to(folder).as_posix() for path in islice(files, MOST_FILES))
+
+
+def _refused(folder: Path, files: Sequence[str]) -> list[str]:
+    """What the reader says about the first picture or depth map of a folder, where it refuses it."""
+    firsts: dict[str, str] = {}
+    for file in files:
+        if Path(file).suffix.lower() in {*IMAGE_ENDINGS, *DEPTH_ENDINGS}:
+            firsts.setdefault(file.rpartition("/")[0], file)
+    lines = []
+    for file in list(firsts.values())[:SAMPLES]:
+        if not _kind(folder, file):
+            try:
+                (read_raw_depth if "depth" in file.lower() else read_image)(folder / file)
+            except (ValueError, OSError) as error:
+                lines.append(str(error))
+    return lines
 
 
 def _lists(folder: Path, files: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -185,7 +198,12 @@ def _place(
 ) -> str:
     """The setting that finds a group of files: their folder where it holds nothing else, else a pattern."""
     kind = kinds[parent, template]
-    alone = parent and all(kinds[group] == kind for group in groups if group[0] == parent)
+    read = set(_endings(kind))  # notes beside pictures are not read as pictures
+    alone = parent and all(
+        kinds[group] == kind
+        for group in groups
+        if group[0] == parent and Path(group[1]).suffix.lower() in read
+    )
     parts = parent.split("/")
     for place in range(len(parts)):
         others = {
@@ -264,11 +282,14 @@ def _of(kind: str, series: Sequence[_Series]) -> list[_Series]:
 
 
 def _keys(folder: Path, series: _Series) -> list[Key]:
-    endings = {"picture": IMAGE_ENDINGS, "camera": CAMERA_ENDINGS}.get(series.kind, DEPTH_ENDINGS)
     try:
-        return [key for key in find_frame_files(folder, series.place, endings) if key]
+        return [key for key in find_frame_files(folder, series.place, _endings(series.kind)) if key]
     except ValueError:  # two files of one name
         return []
+
+
+def _endings(kind: str) -> tuple[str, ...]:
+    return {"picture": IMAGE_ENDINGS, "camera": CAMERA_ENDINGS}.get(kind, DEPTH_ENDINGS)
 
 
 def _describe(
@@ -322,11 +343,15 @@ def _describe(
         settings["input_size"] = f"[{32 * round(height / 32)},{32 * round(width / 32)}]"
     stated = stated_scale(folder / settings["csv"]) if "csv" in settings else None
     units = _units(raws, stated)
-    if len(units) == 1 and known and stated is None and raw.dtype == np.uint16:
+    if len(units) == 1 and known and stated is None:
+        kind = "float" if raw.dtype.kind == "f" else raw.dtype
         found.facts.append(
             "unit: guessed from the numbers; where a distance that you know disagrees, give another, such as "
-            "'data.encoding={scale: 0.01, dtype: uint16}' (centimeters)"
+            f"'data.encoding={{scale: 0.01, dtype: {kind}}}' (centimeters)"
         )
+    farther = Counter(is_farther_below(one) for one in raws)
+    if line := inverse_doubt(farther[True], farther[False]):
+        found.facts.append(line)
     for (note, unit), turn in product(units, turns):
         chosen = settings | unit | turn
         words = [
@@ -431,7 +456,8 @@ def _lens(
 
 def _known_numbers(raw: np.ndarray) -> np.ndarray:
     """The numbers ``(N,)`` that may be depth; the largest of 16 bits often says that it is unknown."""
-    return np.asarray(raw[np.isfinite(raw) & (raw > 0) & (raw != np.iinfo(np.uint16).max)])
+    most = np.float64(np.iinfo(np.uint16).max)  # beyond float16
+    return np.asarray(raw[np.isfinite(raw) & (raw > 0) & (raw != most)])
 
 
 def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, dict[str, Any]]]:

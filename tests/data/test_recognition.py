@@ -9,7 +9,7 @@ import pytest
 from support import layouts, recordings
 from support.recordings import COUNT, RECORDERS, SIZE
 
-from eldenet.check_data import CheckDataSettings, recognize_folder
+from eldenet.check_data import CheckDataSettings, check_data, recognize_folder
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
 from eldenet.data.known_layouts import KNOWN_LAYOUTS
@@ -211,6 +211,65 @@ def test_one_plausible_unit_is_not_taken_for_granted(tmp_path: Path, capsys) -> 
         said = capsys.readouterr().out
         assert said.count("half of all depth nearer than") == warned
         assert said.count("where a distance that you know disagrees") == warned
+
+
+def test_scenes_behind_links_are_found_once(tmp_path: Path) -> None:
+    for scene in ("a", "b"):
+        recordings.picture(tmp_path / f"disk/{scene}/rgb/0.jpg", 0)
+        recordings.depth(tmp_path / f"disk/{scene}/depth/0.png", 0, SIZE)
+    root = tmp_path / "root"
+    root.mkdir()
+    for name, target in (
+        ("kitchen", "disk/a"),
+        ("office", "disk/b"),
+        ("latest", "root/kitchen"),
+        ("up", "."),
+    ):
+        (root / name).symlink_to(tmp_path / target)
+    (found,) = recognize(root)
+    assert found.facts[0] == "frames: 2"
+    assert {"data.images=*/rgb", "data.depths=*/depth"} <= set(found.readings[0].settings)
+    assert set(frames_of(found.readings[0].line)) == {"kitchen/0", "office/0"}
+
+
+def test_notes_beside_pictures_change_nothing(tmp_path: Path) -> None:
+    for i in range(3):
+        recordings.picture(tmp_path / f"images/f{i}.png", i)
+        recordings.depth(tmp_path / f"depths/f{i}.png", i, SIZE)
+    recordings.text(tmp_path / "images/notes.txt", "dark")
+    (found,) = recognize(tmp_path)
+    assert found.title.endswith("paired by name")
+    assert "data.images=images" in found.readings[0].settings
+
+
+def test_pictures_of_16_bits_and_drawn_depth_are_explained(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "depths").mkdir()
+    cv2.imwrite(str(tmp_path / "images/0.png"), np.ones((*SIZE, 3), np.uint16))
+    cv2.imwrite(str(tmp_path / "depths/0.png"), np.ones((*SIZE, 3), np.uint8))
+    (found,) = recognize(tmp_path)
+    assert not found.readings
+    assert "is it a color visualization?" in found.facts[0]
+    assert "holds uint16, images must have 8 bits" in found.facts[1]
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_inverse_depth_is_asked_about(inverse: bool, tmp_path: Path, capsys) -> None:
+    """Of a floor: 4 m away at the top, 1 m at the bottom."""
+    depth = np.repeat(np.linspace(4, 1, SIZE[0], dtype=np.float32)[:, None], SIZE[1], 1)
+    for i in range(6):
+        recordings.picture(tmp_path / f"images/{i}.png", i)
+        (tmp_path / "depths").mkdir(exist_ok=True)
+        np.save(tmp_path / f"depths/{i}.npy", 1 / depth if inverse else depth)
+    (found,) = recognize(tmp_path)
+    check_data(
+        compose(
+            CheckDataSettings,
+            ["data=folder", f"data.root={tmp_path}", "data.encoding=meters", f"output={tmp_path / 'out'}"],
+        )
+    )
+    for said in (str(found.facts), capsys.readouterr().out):
+        assert ("is it inverse depth or disparity?" in said) == inverse
 
 
 def test_nothing_is_written_beside_the_frames(tmp_path: Path) -> None:
