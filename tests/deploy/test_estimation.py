@@ -34,7 +34,7 @@ def kitchen() -> estimation.PictureDepth:
 def exif(film: int) -> Image.Exif:
     """Of a camera whose focal length is that of ``film`` mm on 35 mm film."""
     noted = Image.Exif()
-    noted.get_ifd(0x8769)[0xA405] = film
+    noted[0x8769] = {0xA405: film}
     return noted
 
 

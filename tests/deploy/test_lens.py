@@ -133,7 +133,7 @@ def test_a_file_says_whose_focal_length_scales_its_depth(lens_model: DepthNet) -
 def photo_with_exif(path: Path, size: tuple[int, int], film: int, *, turned: bool = False) -> Path:
     path.parent.mkdir(exist_ok=True)
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA405] = film
+    exif[0x8769] = {0xA405: film}
     if turned:
         exif[0x0112] = 6
     Image.fromarray(photo(*size)).save(path, exif=exif)

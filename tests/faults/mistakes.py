@@ -151,7 +151,7 @@ def an_exif_of_no_lens(folder: Path, rng: np.random.Generator) -> Case:
     from eldenet.deploy.lens import exif_focal
 
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA405] = int(rng.integers(1000, 60000))
+    exif[0x8769] = {0xA405: int(rng.integers(1000, 60000))}
     Image.new("RGB", (64, 48)).save(folder / "a.jpg", exif=exif)
     return lambda: exif_focal(folder / "a.jpg", (48, 64)), REFUSED
 

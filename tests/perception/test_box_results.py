@@ -129,7 +129,7 @@ def test_without_intrinsics_the_principal_point_is_the_center(given, run, tmp_pa
     source = tmp_path / "photo.jpg"
     exif = Image.Exif()
     if given == "exif":
-        exif.get_ifd(0x8769)[0xA405] = round(200 * 43.27 / np.hypot(128, 256))
+        exif[0x8769] = {0xA405: round(200 * 43.27 / np.hypot(128, 256))}
     Image.fromarray(np.full((128, 256, 3), 90, np.uint8)).save(source, exif=exif)
     fx = 30 * np.hypot(128, 256) / 43.27 if given == "exif" else 200
     run(source, f"intrinsics=[{fx},{fx},127.5,63.5]")
