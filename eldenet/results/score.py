@@ -22,6 +22,7 @@ from eldenet.results.run_record import RUN_FILE, environment
 from eldenet.results.uncertainty_plots import write_uncertainty
 from eldenet.system.files import write_json, write_rows
 from eldenet.system.resources import Resources
+from eldenet.weights import name_of
 
 RENDERED_FOR_A_CONSTANT = 512  # frames: as many as a test split has
 
@@ -75,7 +76,7 @@ def score(
     size = dataset[0]["image"].shape[-2:]
     skipped = {"train": {} if train_set is None else train_set.skipped, **facts.get("skipped", {})}
     record = {
-        "model": str(info.get("model_name", settings.get("checkpoint"))),
+        "model": name_of(str(settings.get("checkpoint")), info),
         "data": data["name"],
         "split": split,
         "split_hash": dataset.split_hash,

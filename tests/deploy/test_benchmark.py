@@ -15,7 +15,7 @@ from eldenet.compose import compose
 from eldenet.deploy.benchmarking import measure
 from eldenet.deploy.benchmarking.measure import COLUMNS, Case
 from eldenet.deploy.benchmarking.rows import read_rows
-from eldenet.deploy.benchmarking.tables import draw, read_accuracies
+from eldenet.deploy.benchmarking.tables import draw, notes_of, read_accuracies
 from eldenet.deploy.fold import fold
 from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.system.timing import time_interleaved
@@ -195,6 +195,13 @@ def test_the_picture_shows_models_with_an_accuracy(output: Path, tmp_path: Path)
     assert not draw(rows_of(output), ({"another": 0.8}, "delta1"), tmp_path / "none.png")
 
 
+def test_times_of_a_busy_machine_are_noted(output: Path) -> None:
+    rows = [row | {"waiting": waiting} for row, waiting in zip(rows_of(output), (1.0, 3.0), strict=False)]
+    assert all(row["waiting"] > 0 for row in rows_of(output) if not row["failed"])
+    assert any("other jobs used the machine while 1 of 2 rows" in note for note in notes_of(rows))
+    assert not any("other jobs" in note for note in notes_of(rows[:1]))
+
+
 def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> None:
     stored(tmp_path, "a")
     stored(tmp_path, "b", seed=1, metrics={"delta1": 0.6})
@@ -205,6 +212,10 @@ def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> N
     assert found == pytest.approx({"eldenet_s": 0.7, "mine": 0.9})
     assert title == "δ1 ↑, rooms, rooms/test"
     assert read_accuracies([], "delta1", names) is None
+    with pytest.raises(
+        ValueError, match="runs are of eldenet_s, mine, not_measured, but the models are other"
+    ):
+        read_accuracies([str(tmp_path)], "delta1", ["other"])
     with pytest.raises(ValueError, match=r"accuracies=.*split_hash differs"):
         read_accuracies([str(tmp_path)], "delta1", [*names, "not_measured"])
     stored(tmp_path, "e", seed=2, protocol={"name": "rooms", "scale": "median"})

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from eldenet.deploy import runtimes
-from eldenet.system.timing import median_ms, percentile_ms, time_interleaved
+from eldenet.system.timing import Waiting, median_ms, percentile_ms, time_interleaved
 
 COLUMNS = (
     *("model", "height", "width", "batch", "runtime", "precision", "threads", "device"),
@@ -90,13 +90,14 @@ def measure_group(
         trusted_modules: packages whose classes a model folder's config may name.
 
     Returns:
-        One row per case: the columns, and "failed" (a reason, or None) and "peak_gflops_per_s".
+        One row per case: the columns, and "failed" (a reason, or None), "peak_gflops_per_s", and "waiting":
+        on a CPU, time on the clock over that of the processors while the group was timed.
     """
     ready, rows = {}, {}
     for case in cases:
         network = networks[case]
         rows[case] = {**dict.fromkeys(COLUMNS), **asdict(case), **static_columns(network)}
-        rows[case] |= {"failed": network.failed, "peak_gflops_per_s": None}
+        rows[case] |= {"failed": network.failed, "peak_gflops_per_s": None, "waiting": None}
         if network.source is not None:
             try:
                 ready[case] = call_of(case, network.source, rows[case], trusted_modules)
@@ -106,10 +107,12 @@ def measure_group(
         return list(rows.values())
     peaks = {f"peak {name}": peak_call(cases[0], name) for name in _peak_precisions(ready)}
     calls = {**{str(case.key): call for case, call in ready.items()}, **peaks}
-    times = time_interleaved(calls, rounds=rounds, seconds=seconds)
+    with Waiting() as waiting:
+        times = time_interleaved(calls, rounds=rounds, seconds=seconds)
     for case in ready:
         network, peak = networks[case], times.get(f"peak {case.precision}")
         row = rows[case] | timed_columns(case, times[str(case.key)], network.run_macs)
+        row["waiting"] = waiting.ratio if case.device == "cpu" else None
         if peak is not None and row["gflops_per_s"] is not None:
             row["peak_gflops_per_s"] = 2 * PEAK_SIDE**3 / min(peak) / 1e9  # the best call
             row["share_of_peak"] = row["gflops_per_s"] / row["peak_gflops_per_s"]

@@ -52,7 +52,9 @@ def text_of(name: str, value: Any) -> str:
 
 
 def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Notes below a table: machine, versions, how it was measured, and what failed."""
+    """Notes below a table: machine, versions, how it was measured, what other jobs spoiled, what failed."""
+    from eldenet.results.tables import BUSY
+
     notes = []
     for row in rows:
         versions = ", ".join(f"{name} {version}" for name, version in row["versions"].items() if version)
@@ -67,6 +69,11 @@ def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         "the best matrix product's FLOP/s in the same precision and rounds (torch); gmacs and gflops are of "
         "the network as it is defined, gflops_per_s of its inference form (eldenet.deploy.fold)"
     )
+    if busy := sum((row.get("waiting") or 1.0) > BUSY for row in rows):
+        notes.append(
+            f"other jobs used the machine while {busy} of {len(rows)} rows were measured, so their times are "
+            "too long: end those jobs and measure again with overwrite=true"
+        )
     failed = [
         f"not measured: {row['model']}, {row['runtime']}, {row['precision']}: {row['failed']}"
         for row in rows
@@ -76,23 +83,28 @@ def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]) -> Accuracies | None:
-    """Mean accuracy of each model over the seeds of its runs, and the title of the axis; None without runs.
+    """Mean accuracy of each model over the seeds of its runs, and the axis' title; None without folders.
 
     Runs of other models are left out.
 
     Raises:
         FileNotFoundError: there is no run.
-        ValueError: the runs do not compare (other frames, another protocol), or runs of one name differ in
-            more than their seed.
+        ValueError: no run is of one of the models, the runs do not compare (other frames, another protocol),
+            or runs of one name differ in more than their seed.
     """
     from eldenet.results.comparison import find_runs, group_rows, refuse_mixtures
     from eldenet.results.tables import heading
 
     if not folders:
         return None
-    runs = [run for run in find_runs(list(folders)) if str(run["model"]) in models]
+    found = find_runs(list(folders))
+    runs = [run for run in found if str(run["model"]) in models]
     if not runs:
-        return {}, ""
+        names = ", ".join(sorted({str(run["model"]) for run in found}))
+        raise ValueError(
+            f"accuracies={list(folders)}: these runs are of {names}, but the models are {', '.join(models)}: "
+            "give runs of the models"
+        )
     try:
         refuse_mixtures(runs, costs=False)
         rows = {row.model: row.values("metrics", metric) for row in group_rows(runs)}
