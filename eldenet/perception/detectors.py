@@ -76,8 +76,15 @@ class CallableDetector:
         self.function, self.names, self.box_style = function, tuple(names), box_style
 
     def __call__(self, frame: np.ndarray) -> Detections2D:
-        """Find objects in ``(H, W, 3)`` uint8 RGB; ValueError for a label that is none of the names."""
-        xyxy, score, label = (np.asarray(part) for part in self.function(frame))
+        """Find objects in ``(H, W, 3)`` uint8 RGB; ValueError for another answer, or a label without name."""
+        found = self.function(frame)
+        if not isinstance(found, list | tuple) or len(found) != 3:
+            parts = f" of {len(found)}" if isinstance(found, list | tuple) else ""
+            raise ValueError(
+                f"the detector returned a {type(found).__name__}{parts}: return three arrays, boxes (N, 4), "
+                "scores (N,), labels (N,)"
+            )
+        xyxy, score, label = (np.asarray(part) for part in found)
         if any(isinstance(one, str) for one in label.flat):
             if unknown := sorted({*map(str, label.flat)} - {*self.names}):
                 raise ValueError(f"labels {some_of(unknown, 3)} are not in names: name every class")

@@ -99,7 +99,8 @@ class BoxLifter:
     ) -> Boxes3D:
         """Lift all objects of one image.
 
-        ``quality["doubtful"]`` is 1 where points, 2D box, ground and class contradict each other.
+        ``quality["doubtful"]`` is 1 where points, 2D box, ground and class contradict each other, or where
+        nothing says the distance: no depth, no ground, and no size of the class.
         With sigma, certain pixels weigh more, and ``quality`` has ``distance_low`` and ``distance_high`` [m],
         the interval of ``DISTANCE_LEVEL`` of each box's distance.
 
@@ -163,11 +164,12 @@ class BoxLifter:
         evidence = ObjectEvidence(foreground, detections, camera, priors, plane, other, trusted, sigma, whole)
         raw = {"paper": paper_boxes, "lshape": lshape_boxes}.get(self.method, fitted_boxes)(evidence)
         raw = _use_fallbacks(raw, evidence, self.method)
+        guessed = (foreground.count < 1) & (plane is None) & np.isnan(evidence.size[:, 0])
         quality = {
             "points": foreground.count,
             "depth_scale": raw.depth_scale,
             "cost": raw.cost,
-            "doubtful": (raw.cost > DOUBTFUL_COST).astype(float),
+            "doubtful": ((raw.cost > DOUBTFUL_COST) | guessed).astype(float),
             "fallback": raw.fallback.astype(float) * (self.method != "no_depth"),
             "occluded": hidden,
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),

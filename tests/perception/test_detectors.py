@@ -31,6 +31,8 @@ def test_a_function_may_name_its_classes():
     assert found.label.tolist() == [1, 0]
     with pytest.raises(ValueError, match="labels dog are not in names"):
         CallableDetector(lambda frame: (WANTED, [0.5, 0.6], ["dog", "car"]), ("car",))(FRAME)
+    with pytest.raises(ValueError, match="the detector returned a ndarray: return three arrays"):
+        CallableDetector(lambda frame: np.zeros((2, 6)), ("car",))(FRAME)
     with pytest.raises(ValueError, match="labels are float64: give whole numbers"):
         Detections2D(WANTED, np.ones(2), np.zeros(2), ("car",))
 

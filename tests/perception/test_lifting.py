@@ -182,6 +182,15 @@ def test_boxes_without_known_depth_come_from_class_sizes(method):
     assert boxes.quality["fallback"][0] == (method != "no_depth")
 
 
+def test_a_box_whose_distance_nothing_tells_is_doubtful():
+    depth, xyxy = block((-2.0, 0.85, 12.0))
+    boxes = [
+        BoxLifter(method)(depth, detection(xyxy, name), CAMERA)
+        for method, name in (("no_depth", "pallet"), ("no_depth", "car"), ("refine", "pallet"))
+    ]
+    assert [bool(one.doubtful[0]) for one in boxes] == [True, False, False]
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_zero_nan_negative_and_infinite_depth_are_all_unknown(method):
     depth, xyxy = block((-2.0, 0.85, 12.0))
