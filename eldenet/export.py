@@ -230,7 +230,10 @@ def compare_with_torch(
                     f"median pixel and {found['max_relative']:.0%} in the worst; compare its accuracy, give "
                     "pictures of the place where it will run, or keep fp32"
                 )
-    title = f"{target.name}, {s.precision}: the file beside torch on {len(seen)} pictures"
+    title = (
+        f"{target.name}, {s.precision}: the file beside torch on {len(seen)} pictures, seen at "
+        f"{target.size[0]} x {target.size[1]}"
+    )
     log.table(title, ["runtime", "output", "max [m]", "median [m]", "max, rel.", "median, rel."], rows)
 
 

@@ -292,18 +292,20 @@ def open_predictor(
     if kind == "exported":
         network = runtimes.load(checkpoint, s.engine, threads=resources.threads, device=resources.device)
         log.say(f"{checkpoint}: {network.runtime}, {network.precision}, {network.threads} threads")
+        license = network.metadata.get("license")
     else:
         network = model = eldenet.load(checkpoint, trusted_modules=listed(s.trusted_modules))
         default = " (the default; checkpoint=... takes others)" if checkpoint == BEST else ""
         log.say(f"weights: {checkpoint}{default}")
-        if model.info.get("license"):
-            log.say(f"license of the weights: {model.info['license']}")
+        license = model.info.get("license")
         if s.engine in ("auto", "torch"):
             device = resources.device
         else:
             network = runtimes.load(
                 model, s.engine, threads=resources.threads, device=resources.device, size=size
             )
+    if license:
+        log.say(f"license of the weights: {license}")
     if "sigma" in formats and network.distribution is None:
         raise ValueError(f"formats has sigma: {NO_SIGMA}")
     predictor = DepthPredictor(

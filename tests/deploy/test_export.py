@@ -77,7 +77,11 @@ def test_the_command_exports_from_another_folder(
     done = run_command("export", *words, "checks=2")
     assert done.returncode == 0, done.stderr
     path = tmp_path / "exports" / "mine-32x64-fp32.onnx"
-    for text in ("the file beside torch on 2 pictures", "0 batch normalizations", "exports/mine-32x64-fp32"):
+    for text in (
+        "the file beside torch on 2 pictures, seen at 32 x 64",
+        "0 batch normalizations",
+        "exports/mine-32x64-fp32",
+    ):
         assert text in done.stdout
     facts = read_metadata(path)
     assert (facts["model"], facts["data"], facts["protocol"]) == ("mine", "rooms", "rooms")

@@ -295,6 +295,7 @@ def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_
             [sys.executable, "-c", LOADS_NO_TORCH, *words], capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
+        assert checkpoint != file or "license of the weights: not stated" in done.stdout
     assert listed(tmp_path / "out") == ["a_color.png", "a_depth.png"]
 
 
