@@ -160,6 +160,10 @@ def advice(config_name: str, words: Sequence[str]) -> str:
     except ValueError as error:
         if choice := CHOICE.search(str(error)):
             return _choice(choice["group"], choice["name"], choice["options"].split())
+        twice = re.search("Multiple values for|appears more than once|force-add of config groups", str(error))
+        added = [word for word in words if word.startswith("+") and not word.startswith("+experiment")]
+        if twice and added:
+            return f"{added[0]} needs no plus: write {added[0].lstrip('+')}"
         unknown = re.search(r"Could not override '(.+?)'", str(error))
         if unknown:
             others = [word for word in words if getattr(_parsed(word), "key_or_group", "") != unknown[1]]

@@ -153,7 +153,7 @@ def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
     if missing:
         raise FileNotFoundError(
             f"{len(missing)} of {len(files)} files are missing: {some_of(missing)}. Complete the data set"
-            f"{advice}, or leave these frames out (on_error: skip)"
+            f"{advice}, or leave these frames out (data.on_error=skip)"
         )
 
 

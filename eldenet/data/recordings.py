@@ -147,7 +147,8 @@ class Layout:
             if lonely and strict:
                 raise FileNotFoundError(
                     f"{len(lonely)} files in {root} have no partner: {some_of(lonely)}. Add them, list "
-                    "pairs of different names in a CSV (csv=...), or leave these frames out (on_error: skip)"
+                    "pairs of different names in a CSV (data.csv=...), or leave these frames out "
+                    "(data.on_error=skip)"
                 )
             both = [*pictures, *alone]
         frames = {}
@@ -213,7 +214,7 @@ class Layout:
         if lonely and strict:
             raise FileNotFoundError(
                 f"{len(lonely)} of {len(keys)} frames have no {setting} in {root / place}: "
-                f"{some_of(lonely)}. Add them, or leave these frames out (on_error: skip)"
+                f"{some_of(lonely)}. Add them, or leave these frames out (data.on_error=skip)"
             )
         if unused and strict and setting == "confidence" and self.by == "name" and not self.csv:
             files_alone = [found[key] for key in unused]

@@ -51,6 +51,11 @@ def answer(line: str) -> str:
         ("train data=kitti +data.resize_on_load=[3,4]", ""),
         ("train data=kitti_selection protocol=folder +data.ground_truth=improved", ""),  # the protocol asks
         ("study study=a +given.mine=/data", ""),
+        ("train +debug=fast", "+debug=fast needs no plus: write debug=fast"),
+        (
+            "train +experiment=rooms_full +model=eldenet_s",
+            "+model=eldenet_s needs no plus: write model=eldenet_s",
+        ),
         # names
         ("train --config-dir . trainer.epohcs=1", "setting trainer.epohcs: did you mean trainer.epochs?"),
         ("train epoch=3", "there is no setting epoch: did you mean trainer.epochs?"),
