@@ -39,16 +39,18 @@ class EncoderDecoder(Configurable, nn.Module):
 
     Args:
         backbone: image ``(B, 3, H, W)``, normalized -> features, finest first.
-        decoder: a decoder class, or a ``functools.partial`` of one (``_partial_: true`` in YAML), which gets
-            ``feature_info`` from the backbone.
+        decoder: a decoder, or its class or a ``functools.partial`` of it (``_partial_: true`` in YAML), which
+            gets ``feature_info`` from the backbone.
     """
 
     def __init__(
-        self, backbone: Backbone, decoder: Callable[[Sequence[FeatureInfo]], Decoder] | type[Decoder]
+        self,
+        backbone: Backbone,
+        decoder: Decoder | Callable[[Sequence[FeatureInfo]], Decoder] | type[Decoder],
     ) -> None:
         super().__init__()
         self.backbone = backbone
-        self.decoder = decoder(backbone.feature_info)
+        self.decoder = decoder if isinstance(decoder, Decoder) else decoder(backbone.feature_info)
         self.config["decoder"] = self.decoder.config
 
     def forward(self, image: Tensor) -> Tensor:

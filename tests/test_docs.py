@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import layouts
 from support.composing import composed
 
+import eldenet
 from eldenet.cli.commands import COMMANDS as ELDENET
 from eldenet.compose import config_folder
 from eldenet.data import array_files
@@ -129,6 +131,17 @@ def test_sharing_as_documented(tmp_path, monkeypatch):
         "\n".join(line for line in save.splitlines() if "push_to_hub" not in line), {"eldenet": None} | names
     )
     assert (tmp_path / "my-model" / "model.safetensors").is_file()
+
+
+def test_the_training_loop_of_another_project_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    layouts.folder(tmp_path / "my_frames")
+    names: dict = {}
+    exec(python_blocks("docs/use_from_elsewhere.md")[2], names)
+    assert 0 < names["metrics"].compute()["abs_rel"] < 100
+    assert any(parameter.grad.any() for parameter in names["decoder"].parameters())
+    names["model"].save_pretrained("saved")
+    assert eldenet.load("saved")(names["batch"]["image"]).shape == (4, 1, 96, 128)
 
 
 def test_the_snippet_of_uncertainty_runs():

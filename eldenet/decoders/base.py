@@ -31,8 +31,10 @@ class Decoder(Configurable, nn.Module):
         self.index_of = {info.stride: index for index, info in enumerate(feature_info)}
         self.channels_at = {info.stride: info.channels for info in feature_info}
         if len(self.index_of) != len(feature_info):
+            strides = [info.stride for info in feature_info]
             raise ValueError(
-                f"features of strides {[info.stride for info in feature_info]}: strides must be distinct"
+                f"features of strides {strides}: strides must be distinct, as in a convolutional network; "
+                "choose another backbone"
             )
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:

@@ -83,7 +83,7 @@ class WeightedTerm(nn.Module):
         applies_to: "metric" or "relative": which samples count, by what is known about their depth.
 
     Raises:
-        ValueError: an unknown space, or one that the loss does not support.
+        ValueError: an unknown space, or one that the loss does not support, or something else than a Loss.
 
     Attributes:
         needs_depth: whether it counts only pixels whose depth is known.
@@ -99,6 +99,11 @@ class WeightedTerm(nn.Module):
         super().__init__()
         one_of("applies_to", applies_to, ("metric", "relative"))
         one_of("space", space, SPACES)
+        if not isinstance(loss, Loss):
+            raise ValueError(
+                f"loss={type(loss).__name__}: derive it from eldenet.losses.base.Loss, with "
+                "forward(prediction, target, mask)"
+            )
         if space not in loss.spaces:
             raise ValueError(
                 f"space={space!r} does not fit {type(loss).__name__}: choose one of {', '.join(loss.spaces)}"

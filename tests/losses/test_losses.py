@@ -201,6 +201,7 @@ DEPTH, KNOWN = torch.ones(2, 1, 16, 20), torch.ones(2, 1, 16, 20, dtype=torch.bo
         (lambda loss: loss(LossInputs(DEPTH, DEPTH, KNOWN[..., :5])), "the same shape"),
         (lambda _: WeightedSum({}), "all weights of the loss are 0"),
         (lambda _: WeightedTerm(L1Loss(), space="disparity"), "space='disparity': give one of meters"),
+        (lambda _: WeightedTerm(torch.nn.L1Loss()), "loss=L1Loss: derive it from eldenet.losses.base.Loss"),
         (lambda _: WeightedTerm(SILogLoss(), space="log"), "space='log' does not fit SILogLoss"),
     ],
 )
