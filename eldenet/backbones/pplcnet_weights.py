@@ -33,7 +33,7 @@ def load_pplcnet_weights(module: nn.Module, pretrained: bool | str, scale: float
 
     Raises:
         ValueError: no such weights, or they do not fit.
-        RuntimeError: they cannot be downloaded.
+        ConnectionError: they cannot be downloaded.
     """
     if pretrained is True:
         if scale not in PUBLISHED:

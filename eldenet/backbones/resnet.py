@@ -26,7 +26,7 @@ class ResNet(Backbone):
 
     Raises:
         ValueError: a depth or weights that do not exist, or weights that do not fit.
-        RuntimeError: the weights cannot be downloaded.
+        ConnectionError: the weights cannot be downloaded.
     """
 
     def __init__(self, depth: int = 18, *, pretrained: bool | str = False) -> None:

@@ -29,7 +29,7 @@ class TimmBackbone(Backbone):
     Raises:
         ImportError: timm is not installed.
         ValueError: timm has no such network, its features do not fit a decoder, or the file does not fit it.
-        RuntimeError: the weights cannot be downloaded.
+        ConnectionError: the weights cannot be downloaded.
     """
 
     def __init__(self, name: str, *, pretrained: bool | str = False) -> None:

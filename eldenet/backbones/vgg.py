@@ -24,7 +24,7 @@ class VGG16(Backbone):
 
     Raises:
         ValueError: weights that do not exist or do not fit.
-        RuntimeError: the weights cannot be downloaded.
+        ConnectionError: the weights cannot be downloaded.
     """
 
     def __init__(self, *, batch_norm: bool = False, pretrained: bool | str = False) -> None:

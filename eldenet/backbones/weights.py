@@ -168,7 +168,7 @@ def download_from_hub(repository: str) -> Path:
     """Return the local path of a Hugging Face repository's weights, downloaded if they are not in the cache.
 
     Raises:
-        RuntimeError: they are not in the cache and cannot be downloaded.
+        ConnectionError: they are not in the cache and cannot be downloaded.
     """
     from huggingface_hub import hf_hub_download
 
@@ -224,14 +224,14 @@ def downloading(what: str, errors: type[Exception] = OSError) -> Iterator[None]:
     """Say how to do without a network where ``what`` cannot be downloaded.
 
     Raises:
-        RuntimeError: in place of those errors.
+        ConnectionError: in place of those errors.
     """
     try:
         yield
     except errors as error:
-        raise RuntimeError(
+        raise ConnectionError(
             f"could not download {what} ({error}). Download it on a machine with internet access and give "
-            "its path: pretrained: /path/to/file"
+            "its path: model.backbone.pretrained=/path/to/file"
         ) from error
 
 
@@ -250,7 +250,7 @@ def load_torchvision_weights(
 
     Raises:
         ValueError: no such weights, or they do not fit.
-        RuntimeError: they cannot be downloaded.
+        ConnectionError: they cannot be downloaded.
     """
     from torchvision.models import get_model_weights
 

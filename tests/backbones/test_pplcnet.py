@@ -17,6 +17,7 @@ from eldenet.backbones.pplcnet import SCALES, PPLCNet
 from eldenet.backbones.pplcnet_weights import PUBLISHED, from_onnx
 from eldenet.evaluation.cost import count_macs, count_params
 from eldenet.layers import DepthwiseSeparable
+from eldenet.system.errors import USER_ERRORS
 from eldenet.types import FeatureInfo
 
 # scale: parameters and MACs at 224 x 224 of the 1000-class network, then of the encoder alone. The paper
@@ -151,7 +152,7 @@ def test_published_weights_are_downloaded_by_name(scale: float, monkeypatch: pyt
 
     monkeypatch.setattr("huggingface_hub.hf_hub_download", no_network)
     for pretrained in (True, PUBLISHED[scale]):
-        with pytest.raises(RuntimeError, match=rf"timm/{PUBLISHED[scale]}.*pretrained: /path/to/file"):
+        with pytest.raises(USER_ERRORS, match=rf"timm/{PUBLISHED[scale]}.*pretrained=/path/to/file"):
             PPLCNet(scale, pretrained=pretrained)
     assert asked == [(f"timm/{PUBLISHED[scale]}", "model.safetensors")] * 2
 
