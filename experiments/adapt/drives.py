@@ -1,7 +1,7 @@
 """Measure what ``adapt poses=`` gives: tuned on a drive without depth, scored with true depth elsewhere.
 
 python experiments/adapt/drives.py                       # all trials that drives.csv lacks; prints the table
-python experiments/adapt/drives.py robot_wide 0          # one trial
+python experiments/adapt/drives.py robot_wide 0          # one trial; only its drive, if the row is stored
 
 Odometry is wrong by 2 % of the way and 0.5 degrees per meter (standard deviations: one part stays over the
 drive, one is drawn for each step). Rendered robots drive through rooms or an arena until something is near,
@@ -176,6 +176,7 @@ def prepare(
     place: str, seed: int, folder: Path
 ) -> tuple[list[str], tuple[float, ...], list[tuple[Path, Path]]]:
     """Write a drive; return adapt's settings, the lens [px], and pictures with depth that report."""
+    shutil.rmtree(folder, ignore_errors=True)  # of a trial that was stopped
     for part in ("pictures", "truth"):
         for base in (folder / "drive", folder / "report"):
             (base / part).mkdir(parents=True, exist_ok=True)
@@ -273,7 +274,6 @@ def trial(place: str, seed: int) -> list[object]:
     """Adapt on one drive; return a row of ``drives.csv``."""
     started = time.monotonic()
     folder = WORK / f"{place}-{seed}"
-    shutil.rmtree(folder, ignore_errors=True)  # of a trial that was stopped
     given, lens, report = prepare(place, seed, folder)
     words = [f"source={folder / 'drive/pictures'}", f"poses={folder / 'poses.csv'}", *given]
     words += [f"intrinsics={list(lens)}", "trainer.epochs=10", "minutes=60", f"seed={seed}"]
@@ -325,6 +325,8 @@ def main() -> None:
             with table.open("a", newline="") as file:
                 csv.writer(file, lineterminator="\n").writerows([HEADER, row] if new else [row])
             print(*row, flush=True)
+        elif len(sys.argv) > 1:
+            prepare(place, seed, WORK / f"{place}-{seed}")
     print_table(list(csv.DictReader(table.open())))
 
 
