@@ -110,7 +110,8 @@ class DriveSettings(NavigateSettings):
     """mode=record and mode=evaluate: a driver in arenas."""
 
     # dqn; paper_literal, paper_state (dqn with that observer and learner); astar_dwa, astar_online_dwa,
-    # astar_online_dqn (plans far, steers near), dwa, straight
+    # astar_online_dqn (plans far, steers near), plan_when_stuck (dqn, and A* where it gets nowhere), dwa,
+    # straight
     policy: dict[str, Any] = REQUIRED
     # run folder of a training, its policy.safetensors, or a list of these, which drive together by the mean
     # of their values; null: the packaged policy; planners have none

@@ -116,6 +116,7 @@ REFERENCE = {
         (
             "eldenet.navigation.policy.Navigator",
             "eldenet.navigation.planners.plan_and_steer.PlanAndSteer",
+            "eldenet.navigation.planners.plan_when_stuck.PlanWhenStuck",
             "eldenet.navigation.on_robot.OnRobot",
             "eldenet.navigation.observer.Senses",
             "eldenet.navigation.lidar.Scan",

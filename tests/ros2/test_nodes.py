@@ -113,9 +113,9 @@ def depth_image(meters: float, when: float = 12.25):
     return image(np.full((120, 160), meters, np.float32), "32FC1", when=when)
 
 
-@pytest.fixture(params=[True, False], ids=["plan", "alone"])
+@pytest.fixture(params=["plan", "plan_when_stuck", None])
 def drive(ros, request):
-    node = ros("drive", plan=request.param)
+    node = ros("drive", **({request.param: True} if request.param else {}))
     node.on_info(camera_info())
     node.on_depth(depth_image(6.0))
     node.on_odometry(odometry(0.0))

@@ -23,9 +23,13 @@ class OnlineMap:
 
     A cell is occupied if more rays ended in it than passed through it recently. Its frame is the odometry's,
     moved so that the first pose is its origin, in the middle of the map.
+
+    Args:
+        reach: range up to which readings count [m].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, reach: float = ROBOT.far) -> None:
+        self.reach = reach
         self.side = 2 * SIDE + _MARGIN  # the start is the center, the goal up to a side away
         self.count = round(self.side / RESOLUTION)
         self.evidence = np.zeros((self.count, self.count), np.int8)
@@ -63,7 +67,7 @@ class OnlineMap:
         camera = pose[:2] + ROBOT.camera_ahead * np.array([np.cos(pose[2]), np.sin(pose[2])])
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         grid = self.evidence
-        steps = np.arange(0.0, ROBOT.far, RESOLUTION)
+        steps = np.arange(0.0, self.reach, RESOLUTION)
         free = ranges if cautious is None else np.where(cautious > 0, ranges, 0.0)
         passed = steps[None, :] < free[:, None] - 0.15
         cells = self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[passed]))
@@ -71,7 +75,7 @@ class OnlineMap:
         met = steps[None, :] < free[:, None] + RESOLUTION / 2
         self.seen[self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[met]))] = True
         self.seen[self.cells(self._inside(pose[:2] + _UNDER))] = True
-        ends = ranges < ROBOT.far
+        ends = ranges < self.reach
         cells = self.cells(self._inside(camera + ranges[ends, None] * rays[ends]))
         grid[cells] = np.minimum(np.maximum(grid[cells], 0) + 2, 8)
 

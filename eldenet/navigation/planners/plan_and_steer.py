@@ -162,7 +162,7 @@ class PlanAndSteer(OnRobot):
                 self._sliding[robot] = round(SLIDING_FOR / ROBOT.period)
             self._before[robot] = pose
             self._plan(robot, pose, goal_in_world(pose, goal[robot]))
-            goal[robot] = self._waypoint(robot, pose, goal[robot], before[robot])
+            goal[robot] = waypoint(self._paths[robot], pose, goal[robot], before[robot])
         observation = self.observer.observe(senses._replace(goal=goal), who)
         actions = self.navigator.network(torch.from_numpy(observation).double()).argmax(1).numpy()
         after = self._remembered(senses, who)
@@ -194,10 +194,7 @@ class PlanAndSteer(OnRobot):
     def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> None:
         """Search the path from ``pose (3,)`` every second, and at once when the robot drives a circle."""
         trail = self._trails[robot]
-        way = trail[-1][2] + math.dist(trail[-1][:2], pose[:2]) if trail else 0.0
-        trail.append((float(pose[0]), float(pose[1]), way))
-        if len(trail) > REMEMBERED:
-            del trail[:REPLAN_EVERY]
+        extend(trail, pose)
         self._left[robot] = max(self._left[robot] - 1, 0)
         circle = self._left[robot] == 0 and is_circle(trail)
         if circle:
@@ -213,25 +210,6 @@ class PlanAndSteer(OnRobot):
         self._pathless[robot] = self._pathless[robot] + 1 if pathless else 0
         closed = pathless and self._maps[robot].closes(pose, goal)
         self._closed[robot] = self._closed[robot] + 1 if closed else 0
-
-    def _waypoint(
-        self, robot: int, pose: np.ndarray, goal: np.ndarray, walls: np.ndarray
-    ) -> tuple[float, float]:
-        """Distance left on the path [m] and bearing of its farthest point in a free straight line [rad].
-
-        ``pose (3,)`` is in the map's frame; ``goal (2,)`` has distance and bearing.
-        """
-        path = self._paths[robot]
-        distance, bearing = float(goal[0]), float(goal[1])
-        at = np.array([distance * math.cos(bearing), distance * math.sin(bearing)])
-        if path is None or (distance <= AHEAD and is_free(at, walls)):
-            return distance, bearing
-        path = to_robot(path, pose)
-        path = path[int(np.hypot(*path.T).argmin()) :]
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
-        first, last = np.searchsorted(along, (LEAST_AHEAD, AHEAD)).clip(0, len(path) - 1)
-        x, y = next((path[k] for k in range(last, first, -2) if is_free(path[k], walls)), path[first])
-        return max(distance, float(along[-1])), math.atan2(y, x)
 
     def _unseen(self, robot: int, pose: np.ndarray) -> np.ndarray:
         """Centers of cells near the robot that were never seen, in its frame ``(M, 2)`` [m]."""
@@ -318,6 +296,14 @@ def sideways(before: np.ndarray, now: np.ndarray) -> float:
     return abs(math.cos(heading) * dy - math.sin(heading) * dx) / ROBOT.period
 
 
+def extend(trail: list[tuple[float, float, float]], pose: np.ndarray) -> None:
+    """Add a pose ``(3,)`` to a trail of x, y and way so far [m], which forgets old ones."""
+    way = trail[-1][2] + math.dist(trail[-1][:2], pose[:2]) if trail else 0.0
+    trail.append((float(pose[0]), float(pose[1]), way))
+    if len(trail) > REMEMBERED:
+        del trail[:REPLAN_EVERY]
+
+
 def is_circle(trail: Sequence[tuple[float, float, float]]) -> bool:
     """Whether the robot is where it was before, though it has driven since: x, y [m] and way so far [m]."""
     apart = round(CIRCLE_TIME / ROBOT.period)
@@ -327,6 +313,26 @@ def is_circle(trail: Sequence[tuple[float, float, float]]) -> bool:
     x, y, way = points[-1]
     near = np.hypot(points[:-apart, 0] - x, points[:-apart, 1] - y) < CIRCLE_RADIUS
     return bool((near & (way - points[:-apart, 2] > CIRCLE_WAY)).any())
+
+
+def waypoint(
+    path: np.ndarray | None, pose: np.ndarray, goal: np.ndarray, walls: np.ndarray
+) -> tuple[float, float]:
+    """Distance left on a path [m] and bearing of its farthest point in a free straight line [rad].
+
+    ``path (n, 2)`` (None: none is known) and ``pose (3,)`` are in the map's frame; ``goal (2,)`` has distance
+    and bearing, ``walls (M, 2)`` are points in the robot's frame [m].
+    """
+    distance, bearing = float(goal[0]), float(goal[1])
+    at = np.array([distance * math.cos(bearing), distance * math.sin(bearing)])
+    if path is None or (distance <= AHEAD and is_free(at, walls)):
+        return distance, bearing
+    path = to_robot(path, pose)
+    path = path[int(np.hypot(*path.T).argmin()) :]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    first, last = np.searchsorted(along, (LEAST_AHEAD, AHEAD)).clip(0, len(path) - 1)
+    x, y = next((path[k] for k in range(last, first, -2) if is_free(path[k], walls)), path[first])
+    return max(distance, float(along[-1])), math.atan2(y, x)
 
 
 def is_free(target: np.ndarray, walls: np.ndarray) -> bool:

@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from eldenet.data.ros_messages import read_depth, read_intrinsics, read_pose, seconds
 from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
+from eldenet.navigation.planners.plan_when_stuck import PlanWhenStuck
 from eldenet.navigation.policy import Navigator
 from eldenet.simulation.robot import ROBOT
 from eldenet_ros.driving import Pilot
@@ -27,6 +28,7 @@ from eldenet_ros.scan import read_scan
 PARAMETERS = {
     "policy": "",
     "plan": False,
+    "plan_when_stuck": False,
     "lidar": "",
     "lidar_ahead": ROBOT.camera_ahead,
     "lidar_yaw": 0.0,
@@ -50,7 +52,8 @@ class DriveNode(Node):
     def __init__(self) -> None:
         super().__init__("eldenet_drive")
         chosen = self.settings = declared(self, PARAMETERS)
-        load = PlanAndSteer if chosen.plan else Navigator.load
+        alone = PlanWhenStuck if chosen.plan_when_stuck else Navigator.load
+        load = PlanAndSteer if chosen.plan else alone
         driver = load(chosen.policy or None, slows_within=1.0)
         driver.step(np.full(ROBOT.columns, 8.0), (5.0, 0.0), (0.0, 0.0, 0.0))  # the first step takes a second
         driver.reset()
