@@ -104,6 +104,7 @@ def box_results(
     if parts:
         log.say(f"boxes: median {', '.join(parts)} per picture")
     if unsure:
-        log.say(f"boxes: {unsure} of {found} are doubtful (dashed; occluded is 3): their cues disagree")
+        why = "their cues disagree, or nothing tells their distance"
+        log.say(f"boxes: {unsure} of {found} are doubtful (dashed; occluded is 3): {why}")
     if check_sizes and (line := sizes.warning()):
         log.say(line)

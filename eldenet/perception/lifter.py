@@ -114,7 +114,8 @@ class BoxLifter:
                 (:func:`eldenet.geometry.check_intrinsics`).
 
         Warns:
-            UserWarning: no pixel is known, or half of the depth is beyond 100 m, as in millimeters.
+            UserWarning: no pixel is known, half of the depth is beyond 100 m, as in millimeters, or
+                ``depth_sigma`` is given for depth with sigma.
         """
         estimate, camera = as_estimate(depth), as_camera(camera)
         depth = np.asarray(estimate.depth)
@@ -143,6 +144,9 @@ class BoxLifter:
         if estimate.sigma is None:
             sigma = sigma_by_side(detections.xyxy, whole, small)
         else:
+            if self.depth_sigma is not None:
+                own = "this depth comes with its own sigma"
+                warnings.warn(f"depth_sigma={self.depth_sigma} is not used: {own}", stacklevel=2)
             with np.errstate(divide="ignore", invalid="ignore"):  # where the depth is unknown
                 spread = np.where(depth > 0, estimate.spread, np.nan)
             whole = float(np.nanmedian(spread)) if (depth > 0).any() else whole
@@ -174,7 +178,7 @@ class BoxLifter:
             "occluded": hidden,
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),
         }
-        if estimate.distribution is not None:
+        if estimate.distribution is not None and self.method != "no_depth":
             distance = np.hypot(raw.center[:, 0], raw.center[:, 2])
             interval = DepthEstimate(distance, distance * sigma, estimate.distribution).interval(
                 DISTANCE_LEVEL

@@ -9,6 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.detector_files import FILES
+from support.detector_files import save as save_detector
 from support.networks import canonical_net
 from support.predicting import exported, listed, photo, read_ply, run, save, settings, turned_by_exif
 
@@ -289,14 +291,20 @@ def test_without_a_checkpoint_the_best_weights_of_the_package_are_taken(tmp_path
 
 def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_path: Path) -> None:
     file, source = exported(model, tmp_path / "small.onnx"), save(tmp_path / "a.png", photo())
-    for checkpoint, given in ((file, source), ("eldenet_rooms", tmp_path / "nothing")):
-        words = [f"checkpoint={checkpoint}", f"source={given}", f"output={tmp_path / 'out'}"]
+    detector = save_detector(tmp_path / "detector.onnx", *FILES["yolov8"])
+    boxes = ["overwrite=true", "boxes=true", "fov=60", f"perception.detector.path={detector}"]
+    for checkpoint, given, more in (
+        (file, source, []),
+        (file, source, boxes),
+        ("eldenet_rooms", tmp_path / "nothing", []),
+    ):
+        words = [f"checkpoint={checkpoint}", f"source={given}", f"output={tmp_path / 'out'}", *more]
         done = subprocess.run(
             [sys.executable, "-c", LOADS_NO_TORCH, *words], capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
         assert checkpoint != file or "license of the weights: not stated" in done.stdout
-    assert listed(tmp_path / "out") == ["a_color.png", "a_depth.png"]
+    assert listed(tmp_path / "out") == ["a_boxes.png", "a_boxes.txt", "a_color.png", "a_depth.png"]
 
 
 def test_a_command_that_a_full_disk_stopped_goes_on_without_overwrite(

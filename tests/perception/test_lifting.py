@@ -307,6 +307,10 @@ def test_sigma_sets_the_interval_of_a_distance():
         factor = np.exp(deviations("laplace", 0.9) * share)
         assert box.interval == pytest.approx((box.distance / factor, box.distance * factor))
     assert BoxLifter()(depth, detection(xyxy), CAMERA)[0].interval is None
+    blind = BoxLifter("no_depth", camera_height=1.6)(estimate, detection(xyxy), CAMERA)
+    assert blind[0].interval is None  # sigma says nothing of a distance without depth
+    with pytest.warns(UserWarning, match=r"depth_sigma=0\.1 is not used"):
+        BoxLifter(depth_sigma=0.1)(estimate, detection(xyxy), CAMERA)
 
 
 def test_intervals_of_distances_hold_their_share_of_objects():
