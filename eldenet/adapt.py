@@ -46,12 +46,13 @@ class AdaptSettings:
     runtime: dict[str, Any] = REQUIRED
     protocol: dict[str, Any] | None = None  # a name from configs/protocol; null: the data set's own
     weights: str = "eldenet_indoor"  # packaged weights, run folder, saved model or Hub id to start from
-    # [fx, fy, cx, cy] of the pictures on disk [px]; without camera_height also a file, as data.intrinsics
+    # [fx, fy, cx, cy] of the pictures on disk [px]; without camera_height also a file, as data.intrinsics;
+    # null: with poses, found by the drive
     intrinsics: Any = None
     minutes: float = 10  # about how long the command may take
     # of the optical center above the floor [m]; without poses it only fits the scale
     camera_height: float | None = None
-    # of a camera at a fixed tilt: degrees below the horizon; null: fitted in each frame, 0 with poses
+    # of a camera at a fixed tilt: degrees below the horizon; null: fitted in each frame, or by the drive
     camera_pitch: float | None = None
     camera_ahead: float = 0.2  # with poses of a robot: of the optical center before the wheels' axle [m]
     source: str | None = None  # without depth frames: a folder of pictures, a video, or a bag of ROS
@@ -141,6 +142,7 @@ def _label(s: AdaptSettings) -> AdaptSettings:
     if s.camera_height is not None:
         mount = Mount(s.camera_height, math.radians(s.camera_pitch or 0.0), s.camera_ahead)
     poses = read_poses(table, mount)
+    from eldenet.perception.drive_camera import settle_camera
     from eldenet.perception.drive_labels import label_drive
     from eldenet.results.run_log import RunLog
 
@@ -151,7 +153,9 @@ def _label(s: AdaptSettings) -> AdaptSettings:
     shutil.rmtree(labels, ignore_errors=True)  # of a run that was stopped
     labels.mkdir(parents=True)
     shutil.copyfile(poses.path, copied)
-    camera = label_drive(source, poses, intrinsics, labels, s.frames, RunLog(Path(s.output)))
+    log = RunLog(Path(s.output))
+    lens, poses = settle_camera(source, poses, intrinsics, find_pitch=s.camera_pitch is None, log=log)
+    camera = label_drive(source, poses, lens, labels, s.frames, log)
     encoding = {"scale": 0.001, "dtype": "uint16"}  # whatever is nearest
     read = {"root": str(labels), "intrinsics": camera, "ground_truth": "sparse", "encoding": encoding}
     data = {**s.data, **read, "protocol": {**s.data["protocol"], "ground_truth": "sparse"}}
@@ -174,7 +178,7 @@ def _pictures(s: AdaptSettings, reader: str) -> "Source":
 
     if s.source is None:
         raise ValueError(f"give source=<folder of pictures, or video>: {reader} needs frames of your camera")
-    if s.intrinsics is None:
+    if s.intrinsics is None and not s.is_drive:
         raise ValueError(f"give intrinsics=[fx,fy,cx,cy] of the source's pictures [px]: {reader} needs them")
     source = find_source(s.source, Path(s.output), None)
     if source.is_live:

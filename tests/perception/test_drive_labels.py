@@ -1,6 +1,7 @@
 """A drive with odometry tunes weights as depth frames do, or is refused in one line."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -76,11 +77,16 @@ def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path
     cameras = drive(tmp_path, seconds=10.0)
     with (tmp_path / "odometry.csv").open("a") as file:  # which goes on after the video
         file.writelines(f"\n{t / 4},{t},0,0" for t in range(41, 80))
-    kept = adapt(setup(tmp_path, "frames=45"))
+    kept = adapt(setup(tmp_path, "frames=45", "intrinsics=null", "camera_pitch=null"))
     record = json.loads((tmp_path / "run/run.json").read_text())
     assert record["kept"] is kept
     assert "held_out" in record
-    assert "corners of known depth" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    lens = record["config"]["data"]["intrinsics"]
+    assert lens == pytest.approx(LENS, rel=0.03)
+    assert f"by the drive, intrinsics=[{lens[0]:.1f},{lens[1]:.1f},63.5,47.5]" in said
+    assert re.search(r"by the drive, camera_pitch=(8.[1-9]|9.[01])", said)
+    assert "corners of known depth" in said
     maps = sorted((tmp_path / "run/labels/depths").iterdir())
     assert len(maps) >= 35
     shown = [corridor(camera) for camera in cameras]
@@ -131,6 +137,29 @@ def test_a_bag_whose_odometry_has_another_clock_is_refused(tmp_path):
     given = [f"source={write_bag(tmp_path, messages)}", "poses=null", "intrinsics=null"]
     with pytest.raises(ValueError, match=r"poses from 50.00 to 52.38 s, .* from 1700000000.00 to"):
         adapt(setup(tmp_path, *given))
+
+
+@pytest.mark.parametrize(
+    ("given", "heading", "said"),
+    [
+        (
+            ["intrinsics=[130,130,63.5,47.5]"],
+            0.0,
+            r"fx=130, but .* 128 x 96, move as with fx=(9|10)\d: give",
+        ),
+        (["camera_pitch=0"], 0.0, r"camera_pitch=0, but .* a camera [89].\d degrees below the horizon: give"),
+        ([], 0.15, r"the camera looks [78].\d degrees to the right of the way: mount it straight ahead"),
+    ],
+)
+def test_a_lens_or_a_mount_that_the_pictures_contradict_is_refused(tmp_path, given, heading, said):
+    drive(tmp_path, seconds=6.0)
+    table = tmp_path / "odometry.csv"
+    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    rows[:, 3] += heading
+    np.savetxt(table, rows, fmt="%.6f", delimiter=",", header="seconds,x,y,heading", comments="")
+    with pytest.raises(ValueError, match=said):
+        adapt(setup(tmp_path, *given))
+    assert not (tmp_path / "run/model").exists()
 
 
 def test_labels_of_somebody_else_are_not_replaced(tmp_path):

@@ -1,0 +1,159 @@
+"""What a drive tells about its camera: focal length and mount, from how corners move between known poses.
+
+A corner of one picture lies in the next one on a line that the poses give (its epipolar line), if the camera
+is the right one. Focal length, pitch and yaw are those for which corners lie nearest to their lines: Hartley
+and Zisserman, "Multiple View Geometry in Computer Vision", 2004, chapters 9 and 19.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from eldenet.data.depth_from_motion import View, apart, homogeneous
+
+PAIR_WAY, MOST_WAY, MOST_TURN = 0.08, 1.0, 0.35  # between the pictures of a pair: least, most [m], [rad]
+MOST_PAIRS, LEAST_PAIRS = 200, 24
+CORNERS, LEAST_CORNERS, SPACING = 200, 20, 0.0125  # of a pair; how far apart [widths]
+THERE_AND_BACK = 0.5  # by which tracking forth and back may miss a corner [px]
+ON_LINE, LEAST_SHARE = 1.5, 0.7  # distance of a corner from its line that agrees [px]; their share
+TRACK_ERROR = 0.5  # of a corner [px]
+PARTS = 5  # of the drive, which are fitted alone; their spread tells how sure the fit is
+SURE = (0.03, 0.02, 0.02)  # standard errors of a fit that counts: ln of the focal length, [rad], [rad]
+STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)  # factors of the focal length
+LIMITS = (math.log(3), 0.6, 0.6)  # of the search; a heading of the wrong sign meets them
+
+
+class Pair(NamedTuple):
+    """Corners of a picture and of a later one ``(N, 2)`` [px], and the motion between ``(4, 4)`` [m]."""
+
+    here: np.ndarray
+    there: np.ndarray
+    motion: np.ndarray
+
+
+class CameraFit(NamedTuple):
+    """How the camera differs from what was told; None where the drive does not tell.
+
+    Attributes:
+        focal: the true focal length over the one told.
+        pitch: how much lower it looks [rad].
+        yaw: how far it looks to the left [rad].
+    """
+
+    focal: float | None = None
+    pitch: float | None = None
+    yaw: float | None = None
+
+
+def find_pairs(views: Iterable[View]) -> list[Pair]:
+    """Track corners between views in the order of time; stop after ``MOST_PAIRS``."""
+    pairs: list[Pair] = []
+    first: View | None = None
+    for view in views:
+        way, turn = (0.0, 0.0) if first is None else apart(first.pose, view.pose)
+        if first is None or way > MOST_WAY or turn > MOST_TURN:
+            first = view
+        elif way >= PAIR_WAY:
+            pair = _tracked(first, view)
+            if len(pair.here) >= LEAST_CORNERS:
+                pairs.append(pair)
+            first = view
+        if len(pairs) == MOST_PAIRS:
+            break
+    return pairs
+
+
+def _tracked(one: View, other: View) -> Pair:
+    motion = np.linalg.inv(other.pose) @ one.pose
+    corners = cv2.goodFeaturesToTrack(one.gray, CORNERS, 0.01, max(3, SPACING * one.gray.shape[1]))
+    if corners is None:
+        return Pair(np.empty((0, 2)), np.empty((0, 2)), motion)
+    options: dict[str, Any] = {"winSize": (15, 15), "maxLevel": 4}
+    there, ok, _ = cv2.calcOpticalFlowPyrLK(one.gray, other.gray, corners, None, **options)  # type: ignore[call-overload]
+    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(other.gray, one.gray, there, None, **options)  # type: ignore[call-overload]
+    misses = np.linalg.norm((back - corners)[:, 0], axis=1)
+    good = (np.hstack([ok, ok_back]) > 0).all(1) & (misses < THERE_AND_BACK)
+    return Pair(corners[good, 0].astype(np.float64), there[good, 0].astype(np.float64), motion)
+
+
+def fit_camera(pairs: Sequence[Pair], intrinsics: np.ndarray, *, mounted: bool) -> CameraFit:
+    """Fit focal length, pitch and yaw.
+
+    Args:
+        pairs: of a drive.
+        intrinsics: ``(3, 3)`` that were told [px].
+        mounted: whether pitch and yaw are asked for; False: the poses are the camera's own.
+    """
+    if len(pairs) < LEAST_PAIRS:
+        return CameraFit()
+    starts = [np.array([math.log(start), 0, 0]) for start in STARTS]
+    found, sure = _fitted(pairs, intrinsics, starts, (0, 1, 2) if mounted else (0,))
+    focal = math.exp(found[0]) if sure[0] else None
+    if mounted and focal is None:  # a straight drive tells angles for the focal length that was told
+        found, sure = _fitted(pairs, intrinsics, [np.zeros(3)], (1, 2))
+    return CameraFit(focal, *(float(found[k]) if mounted and sure[k] else None for k in (1, 2)))
+
+
+def _fitted(
+    pairs: Sequence[Pair], intrinsics: np.ndarray, starts: Sequence[np.ndarray], free: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The best fit of ``free`` ones of ln focal, pitch, yaw ``(3,)``, and which of them are sure ``(3,)``."""
+    found = [_fit(pairs, intrinsics, start, free) for start in starts]
+    best = min(found, key=lambda one: one[1])[0]
+    within = (np.abs(best) < np.multiply(0.98, LIMITS)).all()
+    agree = np.mean(np.abs(_off_line(best, pairs, intrinsics)) < ON_LINE)
+    if agree < LEAST_SHARE or not within:
+        return best, np.zeros(3, bool)
+    ends = np.linspace(0, len(pairs), PARTS + 1).astype(int).tolist()
+    parts = [_fit(pairs[i:j], intrinsics, best, free)[0] for i, j in pairwise(ends)]
+    return best, np.std(parts, axis=0, ddof=1) / math.sqrt(PARTS) < SURE
+
+
+def _fit(
+    pairs: Sequence[Pair], intrinsics: np.ndarray, start: np.ndarray, free: Sequence[int]
+) -> tuple[np.ndarray, float]:
+    """The nearest fit to ``start (3,)`` and its cost."""
+    from scipy.optimize import least_squares
+
+    chosen, limits = list(free), np.array(LIMITS)[list(free)]
+
+    def errors(values: np.ndarray) -> np.ndarray:
+        camera = start.copy()
+        camera[chosen] = values
+        return _off_line(camera, pairs, intrinsics)
+
+    solved = least_squares(
+        errors, start[chosen], bounds=(-limits, limits), loss="cauchy", f_scale=TRACK_ERROR, x_scale=0.1
+    )
+    camera = start.copy()
+    camera[chosen] = solved.x
+    return camera, float(solved.cost)
+
+
+def _off_line(camera: np.ndarray, pairs: Sequence[Pair], intrinsics: np.ndarray) -> np.ndarray:
+    """Sampson's distance of all corners from their lines [px], for ln focal, pitch and yaw ``(3,)``."""
+    focal = intrinsics[0, 0] * math.exp(camera[0])
+    lens = np.array([focal, focal * intrinsics[1, 1] / intrinsics[0, 0]])
+    mount = from_told(camera[1], camera[2])
+    motions = np.stack([pair.motion for pair in pairs])
+    turns, ways = mount @ motions[:, :3, :3] @ mount.T, motions[:, :3, 3] @ mount.T
+    essential = np.cross(ways[:, None] / np.linalg.norm(ways, axis=1)[:, None, None], turns, axisb=1, axisc=1)
+    of_corner = np.repeat(essential, [len(pair.here) for pair in pairs], axis=0)
+    one, other = (
+        homogeneous((np.concatenate(seen) - intrinsics[:2, 2]) / lens)
+        for seen in ([pair.here for pair in pairs], [pair.there for pair in pairs])
+    )
+    line, back = np.einsum("nij,nj->ni", of_corner, one), np.einsum("nij,ni->nj", of_corner, other)
+    length = np.sqrt((line[:, :2] ** 2).sum(1) + (back[:, :2] ** 2).sum(1))
+    return np.asarray((other * line).sum(1) / length * focal)
+
+
+def from_told(pitch: float, yaw: float = 0.0) -> np.ndarray:
+    """Camera ``(3, 3)`` that looks lower and to the left [rad], from the camera that was told."""
+    (c, s), (a, b) = ((math.cos(angle), math.sin(angle)) for angle in (pitch, yaw))
+    lower = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    return lower @ np.array([[a, 0.0, b], [0.0, 1.0, 0.0], [-b, 0.0, a]])
