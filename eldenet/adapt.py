@@ -30,6 +30,7 @@ from eldenet.weights import find_checkpoint
 if TYPE_CHECKING:
     from eldenet.deploy.prediction import Source
 
+USUAL_AHEAD = 0.2  # [m]
 LEAST_PITCH = 0.5  # [degrees]; a smaller one is 0, or in radians
 
 
@@ -54,7 +55,9 @@ class AdaptSettings:
     camera_height: float | None = None
     # of a camera at a fixed tilt: degrees below the horizon; null: fitted in each frame, or by the drive
     camera_pitch: float | None = None
-    camera_ahead: float = 0.2  # with poses of a robot: of the optical center before the wheels' axle [m]
+    # with poses of a robot: of the optical center before the wheels' axle [m]; null: found by a drive with
+    # curves, else 0.2
+    camera_ahead: float | None = None
     source: str | None = None  # without depth frames: a folder of pictures, a video, or a bag of ROS
     # CSV of the source's drive: seconds,x,y,heading of the robot, or of the camera; or a bag's topic
     poses: str | None = None
@@ -135,12 +138,13 @@ def _label(s: AdaptSettings) -> AdaptSettings:
         source, table, intrinsics = _pictures(s, "poses"), Path(str(s.poses)).expanduser(), s.intrinsics
     else:
         source = Bag(s.bag, s.topic, s.intrinsics)
-        table, intrinsics = Path(s.poses or "").expanduser(), source.intrinsics
+        table, intrinsics = Path(s.poses or "").expanduser(), source.intrinsics if source.knows_lens else None
         if not table.is_file():
             table = source.write_odometry(s.poses, Path(s.output) / "odometry.csv")
     mount = None
     if s.camera_height is not None:
-        mount = Mount(s.camera_height, math.radians(s.camera_pitch or 0.0), s.camera_ahead)
+        ahead = USUAL_AHEAD if s.camera_ahead is None else s.camera_ahead
+        mount = Mount(s.camera_height, math.radians(s.camera_pitch or 0.0), ahead)
     poses = read_poses(table, mount)
     from eldenet.perception.drive_camera import settle_camera
     from eldenet.perception.drive_labels import label_drive
@@ -154,7 +158,9 @@ def _label(s: AdaptSettings) -> AdaptSettings:
     labels.mkdir(parents=True)
     shutil.copyfile(poses.path, copied)
     log = RunLog(Path(s.output))
-    lens, poses = settle_camera(source, poses, intrinsics, find_pitch=s.camera_pitch is None, log=log)
+    lens, poses = settle_camera(
+        source, poses, intrinsics, pitch=s.camera_pitch, ahead=s.camera_ahead, log=log
+    )
     camera = label_drive(source, poses, lens, labels, s.frames, log)
     encoding = {"scale": 0.001, "dtype": "uint16"}  # whatever is nearest
     read = {"root": str(labels), "intrinsics": camera, "ground_truth": "sparse", "encoding": encoding}

@@ -139,7 +139,7 @@ def predict(s: PredictSettings) -> "Results":
     runtimes.check_installed(str(s.checkpoint), s.engine)
     source = find_source(s.source, Path(s.output).expanduser(), s.frames, s.topic, s.intrinsics)
     origin = "given"
-    if source.bag is not None:
+    if source.bag is not None and (source.bag.knows_lens or not s.lenses):
         if s.focal or s.fov:
             raise ValueError(f"{s.lenses[0]}: the CameraInfo of a bag says the lens; intrinsics= replaces it")
         origin = "from CameraInfo" if s.intrinsics is None else origin

@@ -39,12 +39,11 @@ class Bag:
             they are.
 
     Attributes:
-        intrinsics: fx, fy, cx, cy of the pictures of :meth:`frames` [px].
         pictures: how many there are.
 
     Raises:
         FileNotFoundError: there is no such bag.
-        ValueError: it cannot be read, does not know the lens, or has no such topic or several.
+        ValueError: it cannot be read, has no such topic or several, or a lens that is none.
     """
 
     def __init__(self, path: Path, topic: str | None = None, intrinsics: Any = None) -> None:
@@ -62,8 +61,26 @@ class Bag:
         self._pictures = self._chosen("pictures", pictures, topic, "topic")
         self.pictures = counts[self._pictures]
         self._straighten: Callable[[np.ndarray], np.ndarray] = lambda picture: picture
-        matrix = self._read_lens() if intrinsics is None else intrinsic_matrix(intrinsics)
-        self.intrinsics = [float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]
+        self._lens = self._read_lens() if intrinsics is None else intrinsic_matrix(intrinsics)
+
+    @property
+    def knows_lens(self) -> bool:
+        """Whether the intrinsics are given, or a calibrated camera's are recorded."""
+        return self._lens is not None
+
+    @property
+    def intrinsics(self) -> list[float]:
+        """fx, fy, cx, cy of the pictures of :meth:`frames` [px].
+
+        Raises:
+            ValueError: it does not know them.
+        """
+        if self._lens is None:
+            raise ValueError(
+                f"{self.path} needs a CameraInfo of a calibrated camera beside {self._pictures}, and has "
+                f"{', '.join(self._topics(LENS)) or 'none'}: give intrinsics=[fx,fy,cx,cy] [px] or fov="
+            )
+        return [float(self._lens[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
@@ -132,20 +149,19 @@ class Bag:
             raise ValueError(f"{self.path}, {self._pictures}: {error}") from error
         return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
-    def _read_lens(self) -> np.ndarray:
-        """Intrinsics ``(3, 3)`` [px] of straightened pictures."""
+    def _read_lens(self) -> np.ndarray | None:
+        """Intrinsics ``(3, 3)`` [px] of straightened pictures; None if the bag does not know them."""
         folder, _, name = _raw(self._pictures).rpartition("/")
         known, beside = self._topics(LENS), f"{folder}/camera_info"
         chosen = [beside] if beside in known else known
         info = next(self._messages(chosen[0]), None) if len(chosen) == 1 else None
         first = next(self._messages(self._pictures), None)
         if info is None or first is None:
-            raise ValueError(
-                f"{self.path} needs a CameraInfo in {beside}, beside {self._pictures}, and has "
-                f"{', '.join(known) or 'none'}: give intrinsics=[fx,fy,cx,cy] [px]"
-            )
+            return None
         # ROS 1 has K, D and P
         lens = SimpleNamespace(**{key.lower(): value for key, value in vars(info[1]).items()})
+        if np.ravel(lens.k)[0] == 0:  # as drivers say it of a camera that nobody calibrated
+            return None
         size = self._picture(first[1]).shape[:2]
         rectified = "rect" in name
         try:

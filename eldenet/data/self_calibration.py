@@ -1,8 +1,8 @@
 """What a drive tells about its camera: focal length and mount, from how corners move between known poses.
 
 A corner of one picture lies in the next one on a line that the poses give (its epipolar line), if the camera
-is the right one. Focal length, pitch and yaw are those for which corners lie nearest to their lines: Hartley
-and Zisserman, "Multiple View Geometry in Computer Vision", 2004, chapters 9 and 19.
+is the right one. Focal length, pitch, yaw and place on the robot are those for which corners lie nearest to
+their lines: Hartley and Zisserman, "Multiple View Geometry in Computer Vision", 2004, chapters 9 and 19.
 """
 
 import math
@@ -22,9 +22,10 @@ THERE_AND_BACK = 0.5  # by which tracking forth and back may miss a corner [px]
 ON_LINE, LEAST_SHARE = 1.5, 0.7  # distance of a corner from its line that agrees [px]; their share
 TRACK_ERROR = 0.5  # of a corner [px]
 PARTS = 5  # of the drive, which are fitted alone; their spread tells how sure the fit is
-SURE = (0.03, 0.02, 0.02)  # standard errors of a fit that counts: ln of the focal length, [rad], [rad]
+#: Standard errors of a fit that counts: ln of the focal length, pitch and yaw [rad], place on the robot [m].
+SURE = (0.03, 0.02, 0.02, 0.03)
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)  # factors of the focal length
-LIMITS = (math.log(3), 0.6, 0.6)  # of the search; a heading of the wrong sign meets them
+LIMITS = (math.log(3), 0.6, 0.6, 1.0)  # of the search; a heading of the wrong sign meets them
 
 
 class Pair(NamedTuple):
@@ -42,11 +43,13 @@ class CameraFit(NamedTuple):
         focal: the true focal length over the one told.
         pitch: how much lower it looks [rad].
         yaw: how far it looks to the left [rad].
+        ahead: how far it sits before the place that was told [m].
     """
 
     focal: float | None = None
     pitch: float | None = None
     yaw: float | None = None
+    ahead: float | None = None
 
 
 def find_pairs(views: Iterable[View]) -> list[Pair]:
@@ -80,67 +83,77 @@ def _tracked(one: View, other: View) -> Pair:
     return Pair(corners[good, 0].astype(np.float64), there[good, 0].astype(np.float64), motion)
 
 
-def fit_camera(pairs: Sequence[Pair], intrinsics: np.ndarray, *, mounted: bool) -> CameraFit:
-    """Fit focal length, pitch and yaw.
+def fit_camera(pairs: Sequence[Pair], intrinsics: np.ndarray, forward: np.ndarray | None = None) -> CameraFit:
+    """Fit the focal length and the mount.
 
     Args:
         pairs: of a drive.
         intrinsics: ``(3, 3)`` that were told [px].
-        mounted: whether pitch and yaw are asked for; False: the poses are the camera's own.
+        forward: where the robot drives, in the camera that was told ``(3,)``; None: the poses are the
+            camera's own, so it has no mount.
     """
     if len(pairs) < LEAST_PAIRS:
         return CameraFit()
-    starts = [np.array([math.log(start), 0, 0]) for start in STARTS]
-    found, sure = _fitted(pairs, intrinsics, starts, (0, 1, 2) if mounted else (0,))
-    focal = math.exp(found[0]) if sure[0] else None
-    if mounted and focal is None:  # a straight drive tells angles for the focal length that was told
-        found, sure = _fitted(pairs, intrinsics, [np.zeros(3)], (1, 2))
-    return CameraFit(focal, *(float(found[k]) if mounted and sure[k] else None for k in (1, 2)))
+    drive = _Drive(pairs, intrinsics, np.zeros(3) if forward is None else forward)
+    unknown = {"focal": 0, "pitch": 1, "yaw": 2, "ahead": 3}
+    # gentle curves do not tell where the camera sits, a straight drive not the focal length
+    for free in ([0],) if forward is None else ([0, 1, 2, 3], [0, 1, 2], [1, 2]):
+        starts = [np.array([math.log(start), 0, 0, 0]) for start in (STARTS if 0 in free else (1.0,))]
+        found, sure = _fitted(drive, starts, free)
+        if sure[free].all():
+            break
+    found[0] = math.exp(found[0])
+    return CameraFit(**{name: float(found[k]) for name, k in unknown.items() if k in free and sure[k]})
 
 
-def _fitted(
-    pairs: Sequence[Pair], intrinsics: np.ndarray, starts: Sequence[np.ndarray], free: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The best fit of ``free`` ones of ln focal, pitch, yaw ``(3,)``, and which of them are sure ``(3,)``."""
-    found = [_fit(pairs, intrinsics, start, free) for start in starts]
+class _Drive(NamedTuple):
+    """What :func:`fit_camera` is given."""
+
+    pairs: Sequence[Pair]
+    intrinsics: np.ndarray
+    forward: np.ndarray
+
+
+def _fitted(drive: _Drive, starts: Sequence[np.ndarray], free: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """The best fit of ``free`` ones of ln focal, pitch, yaw, ahead ``(4,)``, and which are sure ``(4,)``."""
+    found = [_fit(drive, start, free) for start in starts]
     best = min(found, key=lambda one: one[1])[0]
     within = (np.abs(best) < np.multiply(0.98, LIMITS)).all()
-    agree = np.mean(np.abs(_off_line(best, pairs, intrinsics)) < ON_LINE)
+    agree = np.mean(np.abs(_off_line(best, drive)) < ON_LINE)
     if agree < LEAST_SHARE or not within:
-        return best, np.zeros(3, bool)
-    ends = np.linspace(0, len(pairs), PARTS + 1).astype(int).tolist()
-    parts = [_fit(pairs[i:j], intrinsics, best, free)[0] for i, j in pairwise(ends)]
+        return best, np.zeros(4, bool)
+    ends = np.linspace(0, len(drive.pairs), PARTS + 1).astype(int).tolist()
+    parts = [_fit(drive._replace(pairs=drive.pairs[i:j]), best, free)[0] for i, j in pairwise(ends)]
     return best, np.std(parts, axis=0, ddof=1) / math.sqrt(PARTS) < SURE
 
 
-def _fit(
-    pairs: Sequence[Pair], intrinsics: np.ndarray, start: np.ndarray, free: Sequence[int]
-) -> tuple[np.ndarray, float]:
-    """The nearest fit to ``start (3,)`` and its cost."""
+def _fit(drive: _Drive, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float]:
+    """The nearest fit to ``start (4,)`` and its cost."""
     from scipy.optimize import least_squares
 
-    chosen, limits = list(free), np.array(LIMITS)[list(free)]
+    limits = np.array(LIMITS)[free]
 
-    def errors(values: np.ndarray) -> np.ndarray:
-        camera = start.copy()
-        camera[chosen] = values
-        return _off_line(camera, pairs, intrinsics)
+    def camera(values: np.ndarray) -> np.ndarray:
+        moved = start.copy()
+        moved[free] = values
+        return moved
 
     solved = least_squares(
-        errors, start[chosen], bounds=(-limits, limits), loss="cauchy", f_scale=TRACK_ERROR, x_scale=0.1
-    )
-    camera = start.copy()
-    camera[chosen] = solved.x
-    return camera, float(solved.cost)
+        lambda values: _off_line(camera(values), drive),
+        start[free], bounds=(-limits, limits), loss="cauchy", f_scale=TRACK_ERROR, x_scale=0.1,
+    )  # fmt: skip
+    return camera(solved.x), float(solved.cost)
 
 
-def _off_line(camera: np.ndarray, pairs: Sequence[Pair], intrinsics: np.ndarray) -> np.ndarray:
-    """Sampson's distance of all corners from their lines [px], for ln focal, pitch and yaw ``(3,)``."""
+def _off_line(camera: np.ndarray, drive: _Drive) -> np.ndarray:
+    """Sampson's distance of all corners from their lines [px], for ln focal, pitch, yaw, ahead ``(4,)``."""
+    pairs, intrinsics, forward = drive
     focal = intrinsics[0, 0] * math.exp(camera[0])
     lens = np.array([focal, focal * intrinsics[1, 1] / intrinsics[0, 0]])
-    mount = from_told(camera[1], camera[2])
     motions = np.stack([pair.motion for pair in pairs])
-    turns, ways = mount @ motions[:, :3, :3] @ mount.T, motions[:, :3, 3] @ mount.T
+    ways = motions[:, :3, 3] + camera[3] * (motions[:, :3, :3] @ forward - forward)
+    mount = from_told(camera[1], camera[2])
+    turns, ways = mount @ motions[:, :3, :3] @ mount.T, ways @ mount.T
     essential = np.cross(ways[:, None] / np.linalg.norm(ways, axis=1)[:, None, None], turns, axisb=1, axisc=1)
     of_corner = np.repeat(essential, [len(pair.here) for pair in pairs], axis=0)
     one, other = (

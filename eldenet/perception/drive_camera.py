@@ -10,16 +10,23 @@ from eldenet.data.depth_from_motion import MotionDepth
 from eldenet.data.drive_poses import DrivePoses
 from eldenet.data.self_calibration import CameraFit, find_pairs, fit_camera, from_told
 from eldenet.deploy.prediction import Source
-from eldenet.geometry import check_intrinsics, intrinsic_matrix, pinhole
+from eldenet.geometry import check_intrinsics, intrinsic_matrix, level_rotation, pinhole
 from eldenet.perception.drive_labels import place_frames
 from eldenet.results.run_log import RunLog
 
-WRONG_FOCAL, WRONG_ANGLE = 1.08, 3.0  # that is refused: a factor (or one over it), [degrees]
+#: What is refused: a factor of the focal length (or one over it), an angle [degrees], a place [m].
+WRONG_FOCAL, WRONG_ANGLE, WRONG_AHEAD = 1.08, 3.0, 0.1
 TELLS = "drive on in curves, among things with texture"
 
 
 def settle_camera(
-    source: Source | Bag, poses: DrivePoses, intrinsics: object, *, find_pitch: bool, log: RunLog
+    source: Source | Bag,
+    poses: DrivePoses,
+    intrinsics: object,
+    *,
+    pitch: float | None,
+    ahead: float | None,
+    log: RunLog,
 ) -> tuple[np.ndarray, DrivePoses]:
     """Return intrinsics ``(3, 3)`` [px] and poses of the camera, by how its pictures move along a drive.
 
@@ -27,7 +34,8 @@ def settle_camera(
         source: pictures in the order of time, a video, or a bag of ROS.
         poses: of the camera during the drive.
         intrinsics: of the source's pictures [px]; None: found, with the principal point in the middle.
-        find_pitch: whether the pitch of a mounted camera is found; the poses then have one of 0.
+        pitch: that was given for a mounted camera [degrees]; None: found.
+        ahead: that was given [m]; None: found if the drive tells, else that of ``poses``.
         log: says what was found.
 
     Raises:
@@ -43,7 +51,9 @@ def settle_camera(
     depth = MotionDepth(told, size)
     frames = (frame for frame in place_frames(source, poses) if frame[1].shape == picture.shape)
     pairs = find_pairs(depth.view(*frame) for frame in frames)
-    fit = fit_camera(pairs, depth.seen_intrinsics, mounted=poses.mount is not None)
+    forward = None if poses.mount is None else level_rotation(poses.mount.pitch).T[:, 2]
+    fit = fit_camera(pairs, depth.seen_intrinsics, forward)
+    poses = _mounted(poses, fit, pitch, ahead, log)
     found = told * np.array([[fit.focal or 1.0, 1, 1], [1, fit.focal or 1.0, 1], [1, 1, 1]])
     if intrinsics is not None:
         if fit.focal is not None and not 1 / WRONG_FOCAL < fit.focal < WRONG_FOCAL:
@@ -52,37 +62,51 @@ def settle_camera(
                 f"move as with fx={found[0, 0]:.0f}: give intrinsics={_said(found)}, or null, or mend the "
                 "heading"
             )
-        return told, _mounted(poses, fit, find_pitch, log)
+        return told, poses
     if fit.focal is None:
         raise ValueError(f"the drive does not tell the lens: give intrinsics=[fx,fy,cx,cy] [px], or {TELLS}")
     log.say(f"by the drive, intrinsics={_said(found)}: give them to other commands, too")
-    return found, _mounted(poses, fit, find_pitch, log)
+    return found, poses
 
 
-def _mounted(poses: DrivePoses, fit: CameraFit, find_pitch: bool, log: RunLog) -> DrivePoses:
-    """Poses of a mounted camera with the pitch that was found; others as they are."""
-    if poses.mount is None:
+def _mounted(
+    poses: DrivePoses, fit: CameraFit, pitch: float | None, ahead: float | None, log: RunLog
+) -> DrivePoses:
+    """Poses of the camera with the mount that was found, where it was not given."""
+    told = poses.mount
+    if told is None:
         return poses
-    pitch, yaw = (None if angle is None else math.degrees(angle) for angle in (fit.pitch, fit.yaw))
-    if yaw is not None and abs(yaw) > WRONG_ANGLE:
+    off, aside = (None if angle is None else math.degrees(angle) for angle in (fit.pitch, fit.yaw))
+    if aside is not None and abs(aside) > WRONG_ANGLE:
+        side = "left" if aside > 0 else "right"
         raise ValueError(
-            f"the camera looks {abs(yaw):.1f} degrees to the {'left' if yaw > 0 else 'right'} of the way: "
+            f"the camera looks {abs(aside):.1f} degrees to the {side} of the way: "
             "mount it straight ahead, or mend the heading in the poses"
         )
-    if not find_pitch:
-        if pitch is not None and abs(pitch) > WRONG_ANGLE:
-            given = math.degrees(poses.mount.pitch)
-            raise ValueError(
-                f"camera_pitch={given:.3g}, but along the poses the pictures move as with a camera "
-                f"{given + pitch:.1f} degrees below the horizon: give that, or null"
-            )
-        return poses
-    if fit.pitch is None:
+    if pitch is not None and off is not None and abs(off) > WRONG_ANGLE:
+        raise ValueError(
+            f"camera_pitch={pitch:.3g}, but along the poses the pictures move as with a camera "
+            f"{pitch + off:.1f} degrees below the horizon: give that, or null"
+        )
+    if ahead is not None and fit.ahead is not None and abs(fit.ahead) > WRONG_AHEAD:
+        raise ValueError(
+            f"camera_ahead={ahead:.3g}, but along the poses the pictures move as with a camera "
+            f"{ahead + fit.ahead:.2f} m before the axle: give that, or null"
+        )
+    if pitch is None and fit.pitch is None:
         raise ValueError(f"the drive does not tell the pitch: give camera_pitch= [degrees], or {TELLS}")
-    log.say(f"by the drive, camera_pitch={pitch:.1f}")
-    turn = np.eye(4)
-    turn[:3, :3] = from_told(fit.pitch).T
-    return replace(poses, cameras=poses.cameras @ turn, mount=poses.mount._replace(pitch=fit.pitch))
+    lower = fit.pitch if pitch is None and fit.pitch is not None else 0.0
+    farther = fit.ahead if ahead is None and fit.ahead is not None else 0.0
+    mount = told._replace(pitch=told.pitch + lower, ahead=told.ahead + farther)
+    if pitch is None:
+        log.say(
+            f"by the drive, camera_pitch={math.degrees(mount.pitch):.1f} (for a driver {mount.pitch:.3f} rad)"
+        )
+    if farther:
+        log.say(f"by the drive, camera_ahead={mount.ahead:.2f}")
+    moved = np.eye(4)
+    moved[:3, :3], moved[:3, 3] = from_told(lower).T, farther * level_rotation(told.pitch).T[:, 2]
+    return replace(poses, cameras=poses.cameras @ moved, mount=mount)
 
 
 def _said(matrix: np.ndarray) -> str:

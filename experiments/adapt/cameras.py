@@ -14,20 +14,22 @@ import drives
 import torch
 from places import REAL
 
+from eldenet.adapt import USUAL_AHEAD
 from eldenet.data.drive_poses import Mount, read_poses
 from eldenet.deploy.prediction import find_source
-from eldenet.perception import drive_camera
+from eldenet.perception.drive_camera import settle_camera
 from eldenet.perception.drive_labels import label_drive
 from eldenet.results.run_log import RunLog
 
 PLACES = ("robot_wide", "robot_tele", "arena_low", "arena_robot", "arena_down", *REAL)
 FRAMES, MOST_PARTS = 60, 5
 TABLE = Path(__file__).parent / "cameras.csv"
-HEADER = ["place", "seed", "fx", "fx_found", "pitch", "pitch_found", "error_given", "error_found"]
+HEADER = ["place", "seed", "fx", "fx_found", "pitch", "pitch_found", "ahead", "ahead_found"]
+HEADER += ["error_given", "error_found"]
 
 
 def measure(place: str, seed: int) -> list[object]:
-    """Return a row of the table: focal length [px], pitch [degrees], median relative error of labels."""
+    """Return a row: focal length [px], pitch [degrees], place before the axle [m], error of labels."""
     folder = drives.WORK / f"camera-{place}-{seed}"
     shutil.rmtree(folder, ignore_errors=True)
     parts, way = drives.LONG.get(place, (drives.PARTS, drives.WAY))
@@ -41,14 +43,19 @@ def measure(place: str, seed: int) -> list[object]:
     source = find_source(str(folder / "drive/pictures"), folder / "run", None)
     log = RunLog(folder / "run")
     errors = []
-    found: tuple[float, float] = (math.nan, math.nan)
+    found: tuple[float, Mount | None] = (math.nan, None)
     for known in (True, False):
-        told = true if known else true._replace(pitch=0.0)
+        told = true if known else true._replace(pitch=0.0, ahead=USUAL_AHEAD)
         poses = read_poses(folder / "poses.csv", told if mounted else None)
         given = lens if known else None
         try:
-            matrix, poses = drive_camera.settle_camera(
-                source, poses, given, find_pitch=mounted and not known, log=log
+            matrix, poses = settle_camera(
+                source,
+                poses,
+                given,
+                pitch=math.degrees(true.pitch) if known else None,
+                ahead=true.ahead if known else None,
+                log=log,
             )
             labels = folder / f"labels-{known}"
             label_drive(source, poses, matrix, labels, FRAMES, log)
@@ -57,11 +64,15 @@ def measure(place: str, seed: int) -> list[object]:
             print(error)
             errors.append(math.nan)
             continue
-        if not known:
-            found = matrix[0, 0], math.degrees(poses.mount.pitch) if poses.mount else math.nan
-    pitch = math.degrees(true.pitch) if mounted else math.nan
-    numbers = [f"{value:.2f}" for value in (lens[0], found[0], pitch, found[1])]
+        found = matrix[0, 0], poses.mount
+    numbers = [f"{value:.2f}" for value in (lens[0], found[0], *_mount(true if mounted else None, found[1]))]
     return [place, seed, *numbers, *(f"{error:.4f}" for error in errors)]
+
+
+def _mount(*mounts: Mount | None) -> list[float]:
+    """Pitch [degrees] of all and places [m] of all; NaN of none."""
+    pitches = [math.nan if mount is None else math.degrees(mount.pitch) for mount in mounts]
+    return pitches + [math.nan if mount is None else mount.ahead for mount in mounts]
 
 
 def main() -> None:

@@ -10,10 +10,13 @@ from eldenet.data.self_calibration import Pair, fit_camera, from_told
 from eldenet.geometry import pinhole
 
 TRUE = pinhole(230.0, 230.0, 159.5, 119.5)
+FORWARD = np.array([0.0, 0.0, 1.0])
 
 
-def pairs(pitch: float = 0.0, yaw: float = 0.0, *, curve: float = 0.1, noise: float = 0.3) -> list[Pair]:
-    """Corners of a camera that is mounted so [rad], with motions as a level camera would have them."""
+def pairs(
+    pitch: float = 0.0, yaw: float = 0.0, ahead: float = 0.0, *, curve: float = 0.1, noise: float = 0.3
+) -> list[Pair]:
+    """Corners of a camera that is mounted so [rad], [m]; motions are of a level one on the axle."""
     rng = np.random.default_rng(0)
     mount = from_told(pitch, yaw)
     found = []
@@ -25,7 +28,8 @@ def pairs(pitch: float = 0.0, yaw: float = 0.0, *, curve: float = 0.1, noise: fl
         rays = np.column_stack([rng.uniform(-0.7, 0.7, 90), rng.uniform(-0.5, 0.5, 90), np.ones(90)])
         points = rays * rng.uniform(0.8, 5.0, 90)[:, None]  # in the true camera's frame
         told = points @ mount  # in that of the camera that was told
-        later = (told @ motion[:3, :3].T + motion[:3, 3]) @ mount.T
+        before = told + ahead * FORWARD  # in that of a camera above the axle
+        later = (before @ motion[:3, :3].T + motion[:3, 3] - ahead * FORWARD) @ mount.T
         here, there = ((seen @ TRUE.T)[:, :2] / seen[:, 2:] for seen in (points, later))
         there += rng.normal(0, noise, there.shape)
         there[:9] += rng.uniform(-30, 30, (9, 2))  # a tenth was mistaken
@@ -42,31 +46,32 @@ def told(factor: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.6])
-@pytest.mark.parametrize(("pitch", "yaw"), [(0.0, 0.0), (0.1, -0.08)])
-def test_focal_length_and_mount_are_found_whatever_was_told(factor, pitch, yaw):
-    fit = fit_camera(pairs(pitch, yaw), told(factor), mounted=True)
+@pytest.mark.parametrize(("pitch", "yaw", "ahead"), [(0.0, 0.0, 0.0), (0.1, -0.08, 0.25)])
+def test_focal_length_and_mount_are_found_whatever_was_told(factor, pitch, yaw, ahead):
+    fit = fit_camera(pairs(pitch, yaw, ahead), told(factor), FORWARD)
     assert fit.focal == pytest.approx(1 / factor, rel=0.02)
     assert fit.pitch == pytest.approx(pitch, abs=0.01)
     assert fit.yaw == pytest.approx(yaw, abs=0.02)
+    assert fit.ahead == pytest.approx(ahead, abs=0.02)
 
 
 def test_poses_of_the_camera_itself_tell_the_focal_length_alone():
-    fit = fit_camera(pairs(), told(1.25), mounted=False)
+    fit = fit_camera(pairs(), told(1.25))
     assert fit.focal == pytest.approx(0.8, rel=0.02)
-    assert fit.pitch is None
-    assert fit.yaw is None
+    assert fit[1:] == (None, None, None)
 
 
 def test_a_straight_drive_tells_the_mount_and_not_the_focal_length():
-    fit = fit_camera(pairs(0.1, curve=0.0), TRUE, mounted=True)
+    fit = fit_camera(pairs(0.1, curve=0.0), TRUE, FORWARD)
     assert fit.focal is None
+    assert fit.ahead is None
     assert fit.pitch == pytest.approx(0.1, abs=0.02)
 
 
 def test_few_pairs_or_corners_that_fit_no_camera_tell_nothing():
-    assert fit_camera(pairs()[:20], TRUE, mounted=True) == (None, None, None)
+    assert fit_camera(pairs()[:20], TRUE, FORWARD) == (None, None, None, None)
     mistaken = [pair._replace(there=pair.there[::-1]) for pair in pairs()]
-    assert fit_camera(mistaken, TRUE, mounted=True) == (None, None, None)
+    assert fit_camera(mistaken, TRUE, FORWARD) == (None, None, None, None)
 
 
 def test_a_heading_of_the_wrong_sign_tells_nothing():
@@ -75,4 +80,4 @@ def test_a_heading_of_the_wrong_sign_tells_nothing():
     for pair in pairs():
         other[:3, :3], other[:3, 3] = pair.motion[:3, :3].T, pair.motion[:3, 3]
         turned.append(pair._replace(motion=other.copy()))
-    assert fit_camera(turned, TRUE, mounted=True) == (None, None, None)
+    assert fit_camera(turned, TRUE, FORWARD) == (None, None, None, None)

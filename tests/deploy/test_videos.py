@@ -214,8 +214,8 @@ def test_an_address_that_never_answers_ends_in_the_timeout() -> None:
         assert time.monotonic() - start < 5
 
 
-def bag_of(folder: Path, frames: list[np.ndarray], times: list[float]) -> Path:
-    sent = [bags.lens(times[0], pinhole(60.0, 60.0, 31.5, 23.5), (48, 64))]
+def bag_of(folder: Path, frames: list[np.ndarray], times: list[float], focal: float = 60.0) -> Path:
+    sent = [bags.lens(times[0], pinhole(focal, focal, 31.5, 23.5), (48, 64))]
     return bags.write_bag(folder, [*sent, *map(bags.picture, times, frames)])
 
 
@@ -248,3 +248,11 @@ def test_a_bag_takes_a_topic_and_no_second_lens(model_folder: Path, tmp_path: Pa
         run(model_folder, bag, tmp_path / "out", "topic=/rear")
     with pytest.raises(ValueError, match=r"fov: the CameraInfo of a bag says the lens; intrinsics= replaces"):
         run(model_folder, bag, tmp_path / "out", "fov=60")
+
+
+def test_a_bag_of_a_camera_that_nobody_calibrated_asks_for_its_lens(tmp_path: Path, capsys) -> None:
+    bag = bag_of(tmp_path, [photo()], [1.7e9], focal=0.0)
+    with pytest.raises(ValueError, match=r"needs a CameraInfo of a calibrated camera .*: give intr"):
+        run("eldenet_indoor", bag, tmp_path / "out")
+    run("eldenet_indoor", bag, tmp_path / "out", "formats=[color]", "fov=60")
+    assert "camera: fx 55 px (given), pictures 64 px wide" in capsys.readouterr().out

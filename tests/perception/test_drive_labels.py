@@ -21,6 +21,7 @@ from eldenet.geometry import pinhole
 from eldenet.visualization import write_picture
 
 SIZE, LENS = (96, 128), (100.0, 100.0, 63.5, 47.5)
+MOUNT = Mount(0.4, 0.15, 0.1)
 PER_SECOND, SPEED = 10, 0.4  # pictures per second, [m/s]
 TEXTURE = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
 TEXTURE = np.tile(cv2.resize(TEXTURE, (512, 512), interpolation=cv2.INTER_CUBIC), (2, 2, 1))
@@ -55,7 +56,7 @@ def drive(folder: Path, seconds: float) -> np.ndarray:
     rows = np.column_stack([times, places, heading]).round(5)
     lines = ["seconds,x,y,heading", *(",".join(map(str, row)) for row in rows)]
     (folder / "odometry.csv").write_text("\n".join(lines))
-    cameras = read_poses(folder / "odometry.csv", Mount(0.4, 0.15, 0.1)).cameras
+    cameras = read_poses(folder / "odometry.csv", MOUNT).cameras
     with open_video(folder / "walk.mp4", PER_SECOND) as add:
         for camera in cameras:
             add(corridor(camera)[0])
@@ -127,6 +128,20 @@ def test_a_bag_of_ros_gives_the_labels_of_its_pictures_and_odometry(tmp_path, mo
     assert all((one == other).all() for one, other in zip(labels["bag"], labels["pictures"], strict=True))
     of_pictures, of_bag = tuned
     assert of_bag["data"]["intrinsics"] == of_pictures["data"]["intrinsics"] == list(LENS)
+
+
+def test_a_bag_of_a_camera_that_nobody_calibrated_has_its_lens_found(tmp_path, monkeypatch):
+    found: list[np.ndarray] = []
+    monkeypatch.setattr("eldenet.perception.drive_labels.label_drive", lambda *s: found.append(s[2]) or LENS)
+    monkeypatch.setattr("eldenet.training.adaptation.tune", lambda *_: True)
+    drive(tmp_path, seconds=6.0)
+    rows = np.loadtxt(tmp_path / "odometry.csv", delimiter=",", skiprows=1)
+    messages = [lens(1.7e9, 0 * pinhole(*LENS), SIZE)]
+    for row, camera in zip(rows, read_poses(tmp_path / "odometry.csv", MOUNT).cameras, strict=True):
+        time = 1.7e9 + row[0]
+        messages += [picture(time, corridor(camera)[0]), odometry(time, *row[1:])]
+    adapt(setup(tmp_path, f"source={write_bag(tmp_path, messages)}", "poses=null", "intrinsics=null"))
+    np.testing.assert_allclose(found[0], pinhole(*LENS), rtol=0.03)
 
 
 def test_a_bag_whose_odometry_has_another_clock_is_refused(tmp_path):
