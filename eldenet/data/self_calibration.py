@@ -21,7 +21,7 @@ CORNERS, LEAST_CORNERS, SPACING = 200, 20, 0.0125  # of a pair; how far apart [w
 THERE_AND_BACK = 0.5  # by which tracking forth and back may miss a corner [px]
 ON_LINE, LEAST_SHARE = 1.5, 0.7  # distance of a corner from its line that agrees [px]; their share
 TRACK_ERROR = 0.5  # of a corner [px]
-PARTS = 5  # of the drive, which are fitted alone; their spread tells how sure the fit is
+PARTS = 5  # of the drive; fits without one of them tell how sure the fit is (jackknife)
 #: Standard errors of a fit that counts: ln of the focal length, pitch and yaw [rad], place on the robot [m].
 SURE = (0.03, 0.02, 0.02, 0.03)
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)  # factors of the focal length
@@ -123,8 +123,9 @@ def _fitted(drive: _Drive, starts: Sequence[np.ndarray], free: list[int]) -> tup
     if agree < LEAST_SHARE or not within:
         return best, np.zeros(4, bool)
     ends = np.linspace(0, len(drive.pairs), PARTS + 1).astype(int).tolist()
-    parts = [_fit(drive._replace(pairs=drive.pairs[i:j]), best, free)[0] for i, j in pairwise(ends)]
-    return best, np.std(parts, axis=0, ddof=1) / math.sqrt(PARTS) < SURE
+    rests = [[*drive.pairs[:i], *drive.pairs[j:]] for i, j in pairwise(ends)]
+    without = [_fit(drive._replace(pairs=rest), best, free)[0] for rest in rests]
+    return best, np.std(without, axis=0) * math.sqrt(PARTS - 1) < SURE
 
 
 def _fit(drive: _Drive, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float]:
