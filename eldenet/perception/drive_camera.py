@@ -94,7 +94,9 @@ def _mounted(
             f"{ahead + fit.ahead:.2f} m before the axle: give that, or null"
         )
     if pitch is None and fit.pitch is None:
-        raise ValueError(f"the drive does not tell the pitch: give camera_pitch= [degrees], or {TELLS}")
+        raise ValueError(
+            f"the drive does not tell the pitch: give camera_pitch= [degrees], check intrinsics, or {TELLS}"
+        )
     lower = fit.pitch if pitch is None and fit.pitch is not None else 0.0
     farther = fit.ahead if ahead is None and fit.ahead is not None else 0.0
     mount = told._replace(pitch=told.pitch + lower, ahead=told.ahead + farther)
