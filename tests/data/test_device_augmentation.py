@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -19,6 +20,10 @@ from eldenet.types import Frame
 
 OFF = {"flip": 0, "affine": 0, "brightness_contrast": 0, "color_jitter": 0, "hue_saturation": 0}
 GEOMETRY = {**OFF, "flip": 0.5, "affine": 1, "scale": (0.8, 1.3), "rotate": 15, "shift": 0.1}
+
+# workers round gray levels; OpenCV before 5 rounds positions to 1/32 px, too
+EXACT = int(cv2.__version__.split(".")[0]) >= 5
+MOST_THAT_DIFFER, MOST_GRAY = (1e-9, 0.6) if EXACT else (0.002, 3)  # share of pixels; of 255
 
 
 class Walls(SyntheticDepth):
@@ -52,12 +57,16 @@ def both(data: DepthDataset) -> tuple[dict, dict]:
     return here, there
 
 
+def share_that_differs(here: dict, there: dict, name: str) -> float:
+    return (here[name] != there[name]).float().mean().item()
+
+
 @pytest.mark.parametrize("zoom", ["depth", "focal"])
 def test_frames_of_the_network_s_size_move_alike(zoom):
     here, there = both(Walls(24, transform=Augmentation(**GEOMETRY, zoom=zoom)))
     for name in ("depth", "mask", "labels"):
-        assert torch.equal(here[name], there[name]), name
-    assert (here["image"] - there["image"]).abs().max() < 0.6 / 255  # which workers round
+        assert share_that_differs(here, there, name) < MOST_THAT_DIFFER
+    assert (here["image"] - there["image"]).abs().max() < MOST_GRAY / 255
 
 
 def test_frames_that_are_resized_first_move_alike():
@@ -97,8 +106,8 @@ def test_a_mix_and_frames_without_augmentation_are_the_same():
     mix = Mix(sources, 12, transform=Augmentation(**GEOMETRY))
     mix.sources["far"].frames.transform = None
     here, there = both(mix)
-    assert torch.equal(here["depth"], there["depth"])
-    assert (here["image"] - there["image"]).abs().max() < 0.6 / 255
+    assert share_that_differs(here, there, "depth") < MOST_THAT_DIFFER
+    assert (here["image"] - there["image"]).abs().max() < MOST_GRAY / 255
     assert here["name"] == there["name"]
 
 

@@ -59,12 +59,13 @@ def test_augmented_points_agree_with_the_camera(case: str, seed: int) -> None:
     assert inside.mean() > 0.3
 
     # The map back to source pixels, read off the picture itself: it must take the new principal point to the
-    # old one to a few hundredths of a pixel, which a wrong pixel center would miss by half a pixel.
+    # old one to a tenth of a pixel, which a wrong pixel center would miss by half a pixel. OpenCV before 5
+    # rounds positions to 1/32.
     rows, cols = np.nonzero(inside)
     grid = np.column_stack([cols, rows, np.ones(len(rows))])
     back, *_ = np.linalg.lstsq(grid, np.column_stack([x[inside], y[inside]]), rcond=None)
     center = np.append(moved.intrinsics[:2, 2], 1.0)
-    np.testing.assert_allclose(center @ back, [CX, CY], atol=0.03)
+    np.testing.assert_allclose(center @ back, [CX, CY], atol=0.1)
     zoom = 1 / np.sqrt(abs(np.linalg.det(back[:2])))
     low, high = settings.get("scale", (1, 1)) if settings["affine"] else (1, 1)
     assert low - 5e-3 <= zoom <= high + 5e-3
@@ -108,7 +109,7 @@ def test_points_reproject_to_where_a_longer_lens_shows_them(case: str, seed: int
     turned = before @ (np.linalg.inv(back[:2]) / zoom)
     seen = np.column_stack([turned / z[:, None], np.ones(len(z))]) @ moved.intrinsics.T
     np.testing.assert_allclose(seen, grid, atol=0.6)
-    np.testing.assert_allclose((seen - grid).mean(axis=0), 0, atol=0.05)
+    np.testing.assert_allclose((seen - grid).mean(axis=0), 0, atol=0.1)
 
 
 def test_flip_is_exact() -> None:
