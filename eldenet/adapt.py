@@ -1,13 +1,13 @@
 """``python -m eldenet.adapt``: tune weights to your own camera, with the data you have.
 
 A few hundred depth frames from any sensor:
-python -m eldenet.adapt data.root=my_frames intrinsics=[525,525,319.5,239.5]
+python -m eldenet.adapt data.root=my_frames 'intrinsics=[525,525,319.5,239.5]'
 Or a drive with wheel odometry (seconds,x,y,heading):
-python -m eldenet.adapt source=walk.mp4 poses=odometry.csv camera_height=0.4 intrinsics=[525,525,319.5,239.5]
+python -m eldenet.adapt source=walk.mp4 poses=odo.csv camera_height=0.4 'intrinsics=[525,525,319.5,239.5]'
 Or a bag of ROS with such a drive, whose topics have pictures, CameraInfo and Odometry:
 python -m eldenet.adapt source=walk.mcap camera_height=0.4
 Or the camera's height above the floor, which must be in view:
-python -m eldenet.adapt source=walk.mp4 camera_height=0.8 intrinsics=[525,525,319.5,239.5]
+python -m eldenet.adapt source=walk.mp4 camera_height=0.8 'intrinsics=[525,525,319.5,239.5]'
 """
 
 import math

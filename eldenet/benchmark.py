@@ -1,8 +1,8 @@
 """``python -m eldenet.benchmark``: models, sizes, batches, runtimes, precisions, threads -> one table.
 
-python -m eldenet.benchmark models=[eldenet,resnet18_upconv] sizes=[[224,224]] threads=[1,2]
-python -m eldenet.benchmark models=[runs/my-run,runs/rival] accuracies=[runs] precisions=[fp32,bf16,int8]
-python -m eldenet.benchmark study=experiments/table3_rivals runtimes=[onnxruntime]
+python -m eldenet.benchmark 'models=[eldenet,resnet18_upconv]' 'sizes=[[224,224]]' 'threads=[1,2]'
+python -m eldenet.benchmark 'models=[runs/mine,runs/rival]' 'accuracies=[runs]' 'precisions=[fp32,bf16,int8]'
+python -m eldenet.benchmark study=experiments/table3_rivals 'runtimes=[onnxruntime]'
 """
 
 import itertools

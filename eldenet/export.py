@@ -2,7 +2,7 @@
 
 python -m eldenet.export checkpoint=runs/my-run
 python -m eldenet.export checkpoint=runs/my-run format=openvino precision=int8 pictures='photos/*.jpg'
-python -m eldenet.export checkpoint=runs/my-run batch=1 opset=13 camera=[480,640]
+python -m eldenet.export checkpoint=runs/my-run batch=1 opset=13 'camera=[480,640]'
 """
 
 import tempfile

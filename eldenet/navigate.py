@@ -2,7 +2,7 @@
 
 python -m eldenet.navigate                                     a video of the packaged driver in one arena
 python -m eldenet.navigate policy=astar_dwa density=80 world=3 video=mp4
-python -m eldenet.navigate mode=evaluate density=[5,20,40,80] episodes=500
+python -m eldenet.navigate mode=evaluate 'density=[5,20,40,80]' episodes=500
 python -m eldenet.navigate mode=evaluate policy=dwa sensor=noisy physics=kinematic density=80 episodes=100
 python -m eldenet.navigate mode=evaluate sensor=noisy sensor.errors=packaged goal=odometry density=5
 python -m eldenet.navigate mode=evaluate sensor=noisy sensor.errors=runs/fitted/range_errors.json

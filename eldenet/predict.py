@@ -5,7 +5,7 @@ python -m eldenet.predict checkpoint=runs/my-run source=photo.jpg
 python -m eldenet.predict checkpoint=runs/my-run source=photos/ on_error=skip
 python -m eldenet.predict checkpoint=runs/my-run source=video.mp4
 python -m eldenet.predict checkpoint=exports/my-run.onnx source=camera:0 frames=500
-python -m eldenet.predict checkpoint=runs/my-run source=photo.jpg boxes=true intrinsics=[721.5,721.5,609.6,172.9] perception.detector.path=yolox.onnx
+python -m eldenet.predict checkpoint=runs/my-run source=photo.jpg boxes=true 'intrinsics=[721.5,721.5,609.6,172.9]' perception.detector.path=yolox.onnx
 Put a name that has spaces or special characters in quotes: 'source=my photo (1).jpg'
 """  # noqa: E501
 

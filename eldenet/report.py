@@ -1,7 +1,7 @@
 """``python -m eldenet.report``: ``run.json`` files -> tables that never mix what does not compare.
 
-python -m eldenet.report runs=[runs] output=table
-python -m eldenet.report runs=[runs/a,runs/b] names=[baseline,ours] columns=[abs_rel,rmse,delta1]
+python -m eldenet.report 'runs=[runs]' output=table
+python -m eldenet.report 'runs=[runs/a,runs/b]' 'names=[baseline,ours]' 'columns=[abs_rel,rmse,delta1]'
 python -m eldenet.report study=experiments/table3_rivals     the tables of a study from its stored runs
 """
 

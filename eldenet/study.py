@@ -1,7 +1,7 @@
 """``python -m eldenet.study``: the missing runs of a study, here or as jobs of a cluster.
 
 python -m eldenet.study study=experiments/table3_rivals                    every row, one after the other
-python -m eldenet.study study=experiments/table3_rivals rows=[eldenet]     some rows
+python -m eldenet.study study=experiments/table3_rivals 'rows=[eldenet]'   some rows
 python -m eldenet.study -m study=experiments/table3_rivals hydra/launcher=ray   one job per row, anywhere
 Finished runs are skipped, killed ones resume, failed ones are listed at the end.
 """

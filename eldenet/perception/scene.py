@@ -138,7 +138,8 @@ class Perception:
             camera: of this image, if it has its own.
 
         Raises:
-            ValueError: the image is not uint8 RGB, depth or intrinsics do not fit it, or no camera is known.
+            ValueError: the image is not uint8 RGB, depth or intrinsics do not fit it, or depth or camera are
+                unknown.
         """
         given = self.camera if camera is None else camera
         if given is None:
@@ -146,7 +147,8 @@ class Perception:
         camera = as_camera(given)
         clock = [time.perf_counter()]
         if depth is None:
-            assert self.depth_model is not None, "give depth="
+            if self.depth_model is None:
+                raise ValueError("Perception has no depth_model: give depth=")
             depth = for_camera(self.depth_model, camera.intrinsics)(image)
         clock.append(time.perf_counter())
         estimate = as_estimate(depth)

@@ -49,6 +49,12 @@ def test_a_matrix_is_a_camera(view):
         perceive(view, view.detections, camera=np.eye(4))
 
 
+def test_without_a_depth_model_the_depth_must_be_given(view):
+    perception = Perception(None, FixedDetections([view.detections]), BoxLifter(), view.camera)
+    with pytest.raises(ValueError, match="no depth_model: give depth="):
+        perception(view.image)
+
+
 def test_the_depth_model_is_told_the_camera(view):
     predictor = canonical_predictor(128, 416)
     perception = Perception(predictor, FixedDetections([view.detections]), BoxLifter(), view.camera)
