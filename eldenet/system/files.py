@@ -233,7 +233,11 @@ def read_yaml(path: Path) -> Any:
 
     text = read_text(path, most=MOST_YAML)
     with reading(path, "YAML file"):
-        return yaml.safe_load(text)
+        try:
+            return yaml.safe_load(text)
+        except yaml.MarkedYAMLError as error:
+            line = error.problem_mark.line + 1 if error.problem_mark else "?"
+            raise ValueError(f"line {line}: {error.problem}") from error
 
 
 def read_json(path: Path) -> Any:

@@ -70,6 +70,9 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert read_yaml(tmp_path / "a.yaml") == content
     (tmp_path / "b.yaml").write_text("a: &a {x: 1}\nb: {<<: *a, y: 2.5}\n")  # aliases are fine
     assert read_yaml(tmp_path / "b.yaml") == {"a": {"x": 1}, "b": {"x": 1, "y": 2.5}}
+    (tmp_path / "c.yaml").write_text("a: 1\nb: [2\nc: 3\n")
+    with pytest.raises(ValueError, match=r"c\.yaml.*line 3: expected ',' or ']'"):
+        read_yaml(tmp_path / "c.yaml")
     write_text(tmp_path / "c.txt.gz", "text")
     assert read_text(tmp_path / "c.txt.gz") == "text"
     write_rows(tmp_path / "d.csv", ["name", "rmse"], [["a", 1]])
