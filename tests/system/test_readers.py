@@ -28,7 +28,7 @@ from eldenet.system.files import (
         ("a.yaml", b"a: 2001-99-99", "month must be in 1..12"),
         ("a.yaml", b"a" * (MOST_YAML + 1), "more than the 1 MB allowed"),
         ("a.yaml", b"a: !!python/object/apply:os.getcwd []", "could not determine a constructor"),
-        ("a.yaml", b"a: [", "parsing"),
+        ("a.yaml", b"a: [", "line 1: expected"),
         ("a.json", b"[" * 200_000, "RecursionError"),
         ("a.json", b"[" * 60 + b"]" * 60, "nested too deep"),
         ("a.json", b'{"epochs": 1' + 400 * b"0" + b"}", "int too large to convert to float"),
