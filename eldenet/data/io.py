@@ -24,7 +24,8 @@ class DepthEncoding:
         name: in a config; of an own one, what was given.
         scale: meters per step.
         offset: added to the number before scaling [steps].
-        dtype: numpy type that the file must hold; "float" allows float16, float32 and float64.
+        dtype: numpy type that the file must hold; "float" allows float16, float32 and float64, "uint16" wider
+            integers too, as numpy stores them by default.
         decode: replaces scale and offset if the encoding is not linear: raw numbers -> [m], pixel by pixel.
         lowest_peak: a file whose largest number is below this cannot be in this encoding; 0 = no such check.
     """
@@ -197,6 +198,8 @@ def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndar
     """
     row = depth_encoding(encoding)
     fits = raw.dtype.kind == "f" if row.dtype == "float" else raw.dtype == np.dtype(row.dtype)
+    if row.dtype == "uint16" and row.decode is None:
+        fits = raw.dtype.kind in "iu" and raw.dtype.itemsize > 1
     if not fits:
         raise ValueError(
             f"{source} holds {raw.dtype}, encoding {row.name!r} needs {row.dtype}: {_suggest(raw)}"

@@ -344,10 +344,9 @@ def _describe(
     stated = stated_scale(folder / settings["csv"]) if "csv" in settings else None
     units = _units(raws, stated)
     if len(units) == 1 and known and stated is None:
-        kind = "float" if raw.dtype.kind == "f" else raw.dtype
         found.facts.append(
             "unit: guessed from the numbers; where a distance that you know disagrees, give another, such as "
-            f"'data.encoding={{scale: 0.01, dtype: {kind}}}' (centimeters)"
+            f"'data.encoding={{scale: 0.01, dtype: {_kind_of(raw)}}}' (centimeters)"
         )
     farther = Counter(is_farther_below(one) for one in raws)
     if line := inverse_doubt(farther[True], farther[False]):
@@ -460,12 +459,17 @@ def _known_numbers(raw: np.ndarray) -> np.ndarray:
     return np.asarray(raw[np.isfinite(raw) & (raw > 0) & (raw != most)])
 
 
+def _kind_of(raw: np.ndarray) -> str:
+    """The type of the numbers, as an encoding names it."""
+    return "float" if raw.dtype.kind == "f" else "uint8" if raw.dtype == np.uint8 else "uint16"
+
+
 def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, dict[str, Any]]]:
     """The encodings in which the median depth is plausible, with the median as a note."""
     values = np.concatenate([_known_numbers(raw) for raw in raws])
     if not values.size:
         return [("no depth above 0 in the files looked at", {})]
-    kind = "float" if values.dtype.kind == "f" else str(values.dtype)
+    kind = _kind_of(values)
     given: dict[str, Any] = {"scale": stated or 0.001, "dtype": kind}
     rows: list[tuple[Any, float]] = [(given, given["scale"])]
     if stated is None or np.isclose(stated, 0.001):
@@ -473,7 +477,7 @@ def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, 
             row for row in ENCODINGS.values() if row.dtype == kind and row.decode is None and not row.offset
         ]
         rows = [(row.name, row.scale) for row in named if stated is None or np.isclose(row.scale, stated)]
-        if kind in ("float", "int32"):
+        if kind == "float":
             rows.append((given, 0.001))
     found: list[tuple[str, dict[str, Any]]] = []
     for encoding, scale in rows:

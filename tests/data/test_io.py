@@ -129,6 +129,16 @@ def test_wrong_unit_is_refused(tmp_path: Path) -> None:
     assert not read_depth(write(tmp_path / "empty.png", MILLIMETERS * 0), "mm").any()
 
 
+@pytest.mark.parametrize("dtype", [np.int16, np.int32, np.int64, np.uint32])
+def test_wider_integers_of_numpy_are_read_as_16_bits(dtype: type, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", MILLIMETERS.astype(dtype))
+    meters = read_depth(tmp_path / "a.npy", "mm")
+    np.testing.assert_array_equal(meters, decode_depth(MILLIMETERS, "mm", "x"))
+    np.testing.assert_array_equal(meters, read_depth(tmp_path / "a.npy", {"scale": 0.001}))
+    with pytest.raises(ValueError, match=r"'sunrgbd' needs uint16"):  # whose bits turn within 16
+        read_depth(tmp_path / "a.npy", "sunrgbd")
+
+
 def test_pictures_of_sixteen_bits_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"gray\.png holds uint16.*is it a depth map\?"):
         read_image(write(tmp_path / "gray.png", MILLIMETERS))
