@@ -25,7 +25,7 @@ class ReportSettings:
     # seven, and in LaTeX those that fit on a page
     columns: Any = None
     costs: bool = True  # false: only metrics, for runs measured on different machines
-    output: str = "results"  # name of the files: results.md, results.csv, results.tex
+    output: str = "runs/report"  # name of the files, which the next report overwrites: .md, .csv, .tex
 
 
 def report(s: ReportSettings) -> None:

@@ -70,6 +70,10 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
     assert finished.returncode == 0, finished.stderr
     assert "eldenet_s" in (trained.parent / "tables" / "first.md").read_text()
     assert {path.suffix for path in (trained.parent / "tables").iterdir()} == {".md", ".csv", ".tex"}
+    (trained.parent / "results.csv").write_text("mine")  # a name that many have
+    finished = run_command("report", f"runs=[{trained}]", cwd=trained.parent)
+    assert finished.stdout.rstrip().endswith("written to runs/report.md, .csv and .tex")
+    assert (trained.parent / "results.csv").read_text() == "mine"
 
 
 def test_a_damaged_picture_is_one_line_also_where_workers_read_it(run_command, tmp_path):
