@@ -13,7 +13,8 @@ import numpy as np
 from eldenet.data.array_files import check_pixels, read_array, read_bytes, read_exr, read_pfm
 from eldenet.data.file_checks import FORMATS, ORIENTATION, decode_picture, is_heif, is_raw_photo, picture_size
 
-IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", ".heic", ".heif")
+HEIF_ENDINGS = (".heic", ".heif")
+IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", *HEIF_ENDINGS)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.data.bags import Bag, is_bag
+from eldenet.data.io import HEIF_ENDINGS
 from eldenet.deploy.lens import Lens
 from eldenet.deploy.outputs import Results, name_results
 from eldenet.deploy.stream import DepthStream, is_live
@@ -97,7 +98,10 @@ def find_source(
     if path.is_file() and is_video_file(path):
         require(f"source={given}", "av")
         return Source({path: path.stem}, is_video=True, is_live=False)
-    return Source(dict(islice(name_results(path, output).items(), frames)), is_video=False, is_live=False)
+    source = Source(dict(islice(name_results(path, output).items(), frames)), is_video=False, is_live=False)
+    if any(Path(picture).suffix.lower() in HEIF_ENDINGS for picture in source.names):
+        require("reading HEIC pictures", "pillow_heif")  # not only when its turn comes
+    return source
 
 
 def predict_pictures(

@@ -18,6 +18,7 @@ import eldenet
 from eldenet.data.io import read_depth
 from eldenet.deploy import outputs
 from eldenet.deploy.outputs import name_results
+from eldenet.deploy.prediction import find_source
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.model import DepthNet
 from eldenet.predict import open_predictor
@@ -287,6 +288,14 @@ def test_without_a_checkpoint_the_best_weights_of_the_package_are_taken(tmp_path
     assert f"weights: {BEST} (the default; checkpoint=... takes others)" in done.stdout
     assert "license of the weights: Apache-2.0; trained on NYU Depth V2, a research release" in done.stdout
     assert (tmp_path / "out/photo_depth.png").is_file()
+
+
+def test_a_missing_package_for_one_picture_is_said_before_the_first(tmp_path: Path, monkeypatch) -> None:
+    save(tmp_path / "photos/a.png", photo())
+    (tmp_path / "photos/b.heic").write_bytes(b"")
+    monkeypatch.setattr("eldenet.system.extras.find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r"reading HEIC pictures needs pillow_heif.*\[heic\]"):
+        find_source(str(tmp_path / "photos"), tmp_path / "out", None)
 
 
 def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_path: Path) -> None:
