@@ -122,7 +122,10 @@ def check_folders(data: Mapping[str, Any]) -> None:
     roots = [part.get("root") for part in splits if isinstance(part, Mapping) and "on_error" in part]
     if not roots or any(root is not None and Path(root).expanduser().is_dir() for root in roots):
         return
+    sources = data.get("sources", {})  # of a mix, whose first data set on disk has these splits
+    on_disk = [f"data.sources.{name}.data.root" for name in sources if "on_error" in sources[name]["data"]]
+    setting = [*on_disk, "data.root"][0]
     if roots[0] is not None:
-        raise FileNotFoundError(f"{roots[0]} is not a folder: set data.root to the data set's folder")
+        raise FileNotFoundError(f"{roots[0]} is not a folder: set {setting} to the data set's folder")
     if not os.environ.get("ELDENET_DATA"):
-        raise FileNotFoundError("no folder given for the data set: set data.root, or ELDENET_DATA")
+        raise FileNotFoundError(f"no folder given for the data set: set {setting}, or ELDENET_DATA")

@@ -14,6 +14,7 @@ from eldenet.compose import compose
 from eldenet.data.folder import FolderDataset
 from eldenet.data.inspection import ChannelSums, channel_statistics, check_split, identities
 from eldenet.data.mix import Mix
+from eldenet.data.splits import check_folders
 from eldenet.data.transforms import Augmentation
 from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.losses.base import LossInputs, WeightedSum, WeightedTerm
@@ -183,3 +184,16 @@ def test_the_log_counts_the_frames_that_a_source_left_out(tmp_path, monkeypatch,
     rest = open_split(config.data, "train", chosen_protocol(config.data, config.protocol))
     assert len(rest.names) == len(whole.names) - 1
     assert f"train: 1 of {len(whole.names)} frames left out, such as nyu/" in caplog.text
+
+
+def test_a_mix_without_its_frames_names_its_own_setting(monkeypatch, tmp_path) -> None:
+    monkeypatch.delenv("ELDENET_DATA", raising=False)
+    for words, said in (
+        ([], r"no folder given .*: set data\.sources\.nyu\.data\.root, or ELDENET_DATA"),
+        (
+            [f"data.sources.nyu.data.root={tmp_path}/no"],
+            r"no is not a folder: set data\.sources\.nyu\.data\.root",
+        ),
+    ):
+        with pytest.raises(FileNotFoundError, match=said):
+            check_folders(compose(TrainSettings, ["data=mix", *words]).data)
