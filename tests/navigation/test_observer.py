@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from eldenet.navigation.collision_arcs import ArcTable, arc_table
 from eldenet.navigation.noisy_ranges import NoisyRanges
@@ -108,8 +109,8 @@ def test_arc_tables_agree_with_moving_the_footprint():
         for step in range(1, 19):
             # exact motion, by a thousand small steps
             t = np.linspace(0, step * 0.1, 1000)
-            x = np.trapezoid(speed * np.cos(turn * t), t)
-            y = np.trapezoid(speed * np.sin(turn * t), t)
+            x = trapezoid(speed * np.cos(turn * t), t)
+            y = trapezoid(speed * np.sin(turn * t), t)
             c, s = math.cos(turn * t[-1]), math.sin(turn * t[-1])
             local = (points - (x, y)) @ np.array([[c, -s], [s, c]])
             gaps.append(np.hypot(*np.maximum(np.abs(local) - (0.30, 0.25), 0).T))
