@@ -49,18 +49,20 @@ WAY_ERROR, TURN_ERROR = 0.02, np.radians(0.5)  # share; [rad per m]
 SIZE = (240, 320)  # of rendered pictures [px]
 AHEAD = 0.1  # of rendered cameras before the axle [m]
 _ROBOT = Camera(0.40, 0.722, 0.0, (1.0, 1.0, 1.0), 0.3)
-#: A low robot with a longer lens, and the robot of ``eldenet navigate`` on a short and two long drives,
-#: and with its camera 20 degrees down.
+#: A low robot with a longer lens, and the robot of ``eldenet navigate`` on a short and three long drives, one
+#: of which goes through rooms, too, and with its camera 20 degrees down.
 ARENA = {
     "arena_low": Camera(0.30, 0.90, -0.05, (1.0, 1.0, 1.0), 0.3),
     "arena_robot": _ROBOT,
     "arena_long": _ROBOT,
     "arena_many": _ROBOT,
+    "arena_rooms": _ROBOT,
     "arena_down": replace(_ROBOT, pitch=-0.35),
 }
 RENDERED = {**{name: CAMERAS[name] for name in ("robot_wide", "robot_tele")}, **ARENA}
 PARTS, WAY = 2, 6.0  # rooms that a robot drives through, and its way in each [m]
-LONG = {"arena_long": (8, 7.5), "arena_many": (20, 3.0), "arena_down": (20, 3.0)}  # the same of long drives
+#: The same of long drives.
+LONG = {"arena_long": (8, 7.5), "arena_many": (20, 3.0), "arena_rooms": (20, 3.0), "arena_down": (20, 3.0)}
 REPORT_PARTS = 1  # rooms that only report
 STEP, TURN, CLOSE = 0.05, 0.09, 0.35  # of a drive [m], [rad], and room that it keeps [m]
 HEADER = ["place", "seed", "pictures", "corners", "label_error", "kept", "report_frames"]
@@ -72,7 +74,8 @@ Free = Callable[[float, float], bool]
 def stage(place: str, part: int) -> tuple[CompiledRoom, Free, float]:
     """Return a room or arena, where a robot's center may be, and half its width [m]."""
     if place in ARENA:
-        arena = generate_arena("train", 20, 5_000 + part)
+        with_doors = place == "arena_rooms" and part % 2
+        arena = generate_arena("train", 20, 5_000 + part, kind="rooms" if with_doors else "open")
         clearance = clearance_map(arena.obstacles)
         middle = len(clearance) // 2
 
