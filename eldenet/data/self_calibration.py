@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from eldenet.data.depth_from_motion import View, apart, homogeneous
+from eldenet.geometry import level_rotation
 
 PAIR_WAY, MOST_WAY, MOST_TURN = 0.08, 1.0, 0.35  # between the pictures of a pair: least, most [m], [rad]
 MOST_PAIRS, LEAST_PAIRS = 200, 24
@@ -168,6 +169,5 @@ def _off_line(camera: np.ndarray, drive: _Drive) -> np.ndarray:
 
 def from_told(pitch: float, yaw: float = 0.0) -> np.ndarray:
     """Camera ``(3, 3)`` that looks lower and to the left [rad], from the camera that was told."""
-    (c, s), (a, b) = ((math.cos(angle), math.sin(angle)) for angle in (pitch, yaw))
-    lower = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    return lower @ np.array([[a, 0.0, b], [0.0, 1.0, 0.0], [-b, 0.0, a]])
+    c, s = math.cos(yaw), math.sin(yaw)
+    return level_rotation(pitch).T @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

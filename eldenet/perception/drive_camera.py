@@ -8,7 +8,7 @@ import numpy as np
 from eldenet.data.bags import Bag
 from eldenet.data.depth_from_motion import MotionDepth
 from eldenet.data.drive_poses import DrivePoses
-from eldenet.data.self_calibration import CameraFit, find_pairs, fit_camera, from_told
+from eldenet.data.self_calibration import CameraFit, find_pairs, fit_camera
 from eldenet.deploy.prediction import Source
 from eldenet.geometry import check_intrinsics, intrinsic_matrix, level_rotation, pinhole
 from eldenet.perception.drive_labels import place_frames
@@ -107,7 +107,7 @@ def _mounted(
     if farther:
         log.say(f"by the drive, camera_ahead={mount.ahead:.2f}")
     moved = np.eye(4)
-    moved[:3, :3], moved[:3, 3] = from_told(lower).T, farther * level_rotation(told.pitch).T[:, 2]
+    moved[:3, :3], moved[:3, 3] = level_rotation(lower), farther * level_rotation(told.pitch).T[:, 2]
     return replace(poses, cameras=poses.cameras @ moved, mount=mount)
 
 
