@@ -18,16 +18,11 @@ _SIDES = (("height", "h", "image_height"), ("width", "w", "image_width"))
 
 
 class Camera(NamedTuple):
-    """A frame's camera as it is stored.
+    """A frame's camera as it is stored."""
 
-    Attributes:
-        matrix: intrinsics ``(3, 3)`` [px].
-        size: ``(height, width)`` [px] that they describe; None: not stated.
-        pose: camera to world ``(4, 4)`` [m], camera axes x right, y down, z forward; None: not stated.
-    """
-
-    matrix: np.ndarray
-    size: tuple[int, int] | None = None
+    matrix: np.ndarray  # intrinsics (3, 3) [px]
+    size: tuple[int, int] | None = None  # (height, width) [px] that they describe; None: not stated
+    # camera to world (4, 4) [m], camera axes x right, y down, z forward; None: not stated
     pose: np.ndarray | None = None
 
     def at_size(self, size: tuple[int, int], depth_size: tuple[int, int]) -> np.ndarray:

@@ -36,33 +36,20 @@ _STARTS = 1 / np.geomspace(NEAR, 25, 40)  # of the search for inverse depth [1/m
 
 
 class View(NamedTuple):
-    """A picture of a drive.
+    """A picture of a drive."""
 
-    Attributes:
-        name: of the frame.
-        image: ``(H, W, 3)`` uint8 RGB, at most ``MOST_WIDTH`` wide.
-        gray: the same in gray, ``(H, W)``.
-        pose: ``(4, 4)`` camera to world [m].
-    """
-
-    name: str
-    image: np.ndarray
-    gray: np.ndarray
-    pose: np.ndarray
+    name: str  # of the frame
+    image: np.ndarray  # (H, W, 3) uint8 RGB, at most MOST_WIDTH wide
+    gray: np.ndarray  # the same in gray, (H, W)
+    pose: np.ndarray  # (4, 4) camera to world [m]
 
 
 class Points(NamedTuple):
-    """Corners of a view with known depth.
+    """Corners of a view with known depth."""
 
-    Attributes:
-        pixels: ``(N, 2)`` column, row [px].
-        depth: ``(N,)`` [m].
-        sigma: ``(N,)`` of ln depth.
-    """
-
-    pixels: np.ndarray
-    depth: np.ndarray
-    sigma: np.ndarray
+    pixels: np.ndarray  # (N, 2) column, row [px]
+    depth: np.ndarray  # (N,) [m]
+    sigma: np.ndarray  # (N,) of ln depth
 
 
 @dataclass(frozen=True)

@@ -28,36 +28,22 @@ _BASE_FROM_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]
 
 
 class Mount(NamedTuple):
-    """How a camera is mounted on a robot.
+    """How a camera is mounted on a robot."""
 
-    Attributes:
-        height: of the optical center above the floor [m].
-        pitch: of the optical axis below the horizon [rad].
-        ahead: of the optical center before the point whose pose odometry gives [m].
-    """
-
-    height: float
-    pitch: float = 0.0
-    ahead: float = 0.0
+    height: float  # of the optical center above the floor [m]
+    pitch: float = 0.0  # of the optical axis below the horizon [rad]
+    ahead: float = 0.0  # of the optical center before the point whose pose odometry gives [m]
 
 
 @dataclass(frozen=True)
 class DrivePoses:
-    """The camera's poses, in the order of their rows.
-
-    Attributes:
-        path: the file.
-        cameras: ``(N, 4, 4)`` camera to world [m].
-        seconds: ``(N,)`` when [s], or None.
-        names: of the pictures, or None.
-        mount: of a camera on a robot, whose world has its floor at z = 0; None: the world is any.
-    """
+    """The camera's poses, in the order of their rows."""
 
     path: Path
-    cameras: np.ndarray
-    seconds: np.ndarray | None
-    names: tuple[str, ...] | None
-    mount: Mount | None
+    cameras: np.ndarray  # (N, 4, 4) camera to world [m]
+    seconds: np.ndarray | None  # (N,) when [s], or None
+    names: tuple[str, ...] | None  # of the pictures, or None
+    mount: Mount | None  # of a camera on a robot, whose world has its floor at z = 0; None: the world is any
 
     def of_pictures(self, paths: Sequence[Path]) -> list[np.ndarray | None]:
         """Return the pose ``(4, 4)`` of each picture, by name if the file has names, else by order.

@@ -20,21 +20,13 @@ _NUMBERS = ("fx", "fy", "cx", "cy")
 
 
 class ListedFrame(NamedTuple):
-    """One frame of a list; files are relative to the data set's folder.
-
-    Attributes:
-        image: the picture.
-        depth: the depth map.
-        confidence: of the depth; None: not listed.
-        camera: intrinsics and pose; None: not listed.
-        scene: where it was recorded; "": not listed.
-    """
+    """One frame of a list; files are relative to the data set's folder."""
 
     image: str
     depth: str
-    confidence: str | None = None
-    camera: Camera | None = None
-    scene: str = ""
+    confidence: str | None = None  # of the depth; None: not listed
+    camera: Camera | None = None  # intrinsics and pose; None: not listed
+    scene: str = ""  # where it was recorded; "": not listed
 
 
 def read_frame_list(path: Path, *, allow_outside: bool, tolerance: float) -> list[ListedFrame]:

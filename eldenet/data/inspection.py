@@ -26,56 +26,33 @@ Bar = Callable[[str, int], AbstractContextManager[Any]]
 
 @dataclass
 class SplitCheck:
-    """What one split of a data set holds.
-
-    Attributes:
-        split: its name.
-        names: of the frames whose files exist.
-        identities: of the same frames, see :func:`identities`.
-        split_hash: of these names, as in ``run.json``.
-        missing: name -> missing files.
-        looked_at: how many frames were read.
-        unreadable: name -> what is wrong with the file.
-        without_depth: frames without any known depth.
-        sizes: "H x W" of image and depth -> number of frames.
-        histogram: ``(20,)`` pixels in equal steps of depth from 0 to ``max_depth``.
-        percentiles: of known depth within the range [m].
-        median: of all depth, also of what lies outside the range [m]; None: there is none.
-        farther_below: of the frames with depth at the top and at the bottom, how many are farther at the
-            bottom, and how many are not.
-        min_depth: nearest depth that counts as known [m].
-        max_depth: farthest depth that counts as known [m].
-        valid: share of pixels with depth within the range.
-        outside: share of pixels with depth outside the range.
-        with_intrinsics: how many of the frames read have intrinsics.
-        intrinsics: ``[fx, fy, cx, cy]`` of the first one [px].
-        mean: of the images, per channel (RGB in [0, 1]).
-        std: of the images, per channel.
-        fault: why the split could not be opened at all.
-    """
+    """What one split of a data set holds."""
 
     split: str
-    names: list[str] = field(default_factory=list)
-    identities: dict[str, str] = field(default_factory=dict)
-    split_hash: str = ""
-    missing: dict[str, str] = field(default_factory=dict)
-    looked_at: int = 0
-    unreadable: dict[str, str] = field(default_factory=dict)
-    without_depth: list[str] = field(default_factory=list)
-    sizes: dict[str, int] = field(default_factory=dict)
+    names: list[str] = field(default_factory=list)  # of the frames whose files exist
+    identities: dict[str, str] = field(default_factory=dict)  # of the same frames, see identities()
+    split_hash: str = ""  # of these names, as in run.json
+    missing: dict[str, str] = field(default_factory=dict)  # name -> missing files
+    looked_at: int = 0  # how many frames were read
+    unreadable: dict[str, str] = field(default_factory=dict)  # name -> what is wrong with the file
+    without_depth: list[str] = field(default_factory=list)  # frames without any known depth
+    sizes: dict[str, int] = field(default_factory=dict)  # "H x W" of image and depth -> number of frames
+    # (HISTOGRAM_BINS,) pixels in equal steps of depth from 0 to max_depth
     histogram: list[int] = field(default_factory=list)
-    percentiles: dict[str, float] = field(default_factory=dict)
-    median: float | None = None
+    percentiles: dict[str, float] = field(default_factory=dict)  # of known depth within the range [m]
+    median: float | None = None  # of all depth, also of what lies outside the range [m]; None: there is none
+    # of the frames with depth at the top and at the bottom, how many are farther at the bottom, and how many
+    # are not
     farther_below: list[int] = field(default_factory=lambda: [0, 0])
-    min_depth: float = 0.0
-    max_depth: float = 0.0
-    valid: float = 0.0
-    outside: float = 0.0
-    with_intrinsics: int = 0
-    intrinsics: list[float] | None = None
-    mean: list[float] = field(default_factory=list)
-    std: list[float] = field(default_factory=list)
-    fault: str = ""
+    min_depth: float = 0.0  # nearest depth that counts as known [m]
+    max_depth: float = 0.0  # farthest depth that counts as known [m]
+    valid: float = 0.0  # share of pixels with depth within the range
+    outside: float = 0.0  # share of pixels with depth outside the range
+    with_intrinsics: int = 0  # how many of the frames read have intrinsics
+    intrinsics: list[float] | None = None  # [fx, fy, cx, cy] of the first one [px]
+    mean: list[float] = field(default_factory=list)  # of the images, per channel (RGB in [0, 1])
+    std: list[float] = field(default_factory=list)  # of the images, per channel
+    fault: str = ""  # why the split could not be opened at all
 
     @property
     def faults(self) -> list[str]:
@@ -96,16 +73,11 @@ class SplitCheck:
 
 @dataclass
 class DataCheck:
-    """What :func:`check_data` found.
+    """What :func:`check_data` found."""
 
-    Attributes:
-        splits: one check each.
-        faults: everything that is wrong, one line each.
-        panels: titled pictures for a contact sheet: image over depth.
-    """
-
-    splits: list[SplitCheck] = field(default_factory=list)
-    faults: list[str] = field(default_factory=list)
+    splits: list[SplitCheck] = field(default_factory=list)  # one check each
+    faults: list[str] = field(default_factory=list)  # everything that is wrong, one line each
+    # titled pictures for a contact sheet: image over depth
     panels: list[tuple[str, np.ndarray]] = field(default_factory=list)
 
 

@@ -19,23 +19,17 @@ IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm
 
 @dataclass(frozen=True)
 class DepthEncoding:
-    """How numbers in a depth file become meters: ``(v + offset) * scale``; 0, NaN and below 0 are unknown.
+    """How numbers in a depth file become meters: ``(v + offset) * scale``; 0, NaN and below 0 are unknown."""
 
-    Attributes:
-        name: in a config; of an own one, what was given.
-        scale: meters per step.
-        offset: added to the number before scaling [steps].
-        dtype: numpy type that the file must hold; "float" allows float16, float32 and float64, "uint16" wider
-            integers too, as numpy stores them by default.
-        decode: replaces scale and offset if the encoding is not linear: raw numbers -> [m], pixel by pixel.
-        lowest_peak: a file whose largest number is below this cannot be in this encoding; 0 = no such check.
-    """
-
-    name: str
-    scale: float = 1.0
-    offset: float = 0.0
+    name: str  # in a config; of an own one, what was given
+    scale: float = 1.0  # meters per step
+    offset: float = 0.0  # added to the number before scaling [steps]
+    # numpy type that the file must hold; "float" allows float16, float32 and float64, "uint16" wider integers
+    # too, as numpy stores them by default
     dtype: str = "uint16"
+    # replaces scale and offset if the encoding is not linear: raw numbers -> [m], pixel by pixel
     decode: Callable[[np.ndarray], np.ndarray] | None = None
+    # a file whose largest number is below this cannot be in this encoding; 0 = no such check
     lowest_peak: int = 0
 
     @property

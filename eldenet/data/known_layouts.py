@@ -27,19 +27,12 @@ pairs.csv: image,depth[,confidence,fx,fy,cx,cy,scene]                   a list
 
 
 class KnownLayout(NamedTuple):
-    """A data set in one layout.
-
-    Attributes:
-        title: what it is.
-        tree: of its files.
-        fits: whether a folder looks like it.
-        settings: that read it, of the command line; ``{root}`` stands for the folder.
-    """
+    """A data set in one layout."""
 
     title: str
-    tree: str
-    fits: Callable[[Path], bool]
-    settings: tuple[str, ...]
+    tree: str  # of its files
+    fits: Callable[[Path], bool]  # whether a folder looks like it
+    settings: tuple[str, ...]  # that read it, of the command line; {root} stands for the folder
 
 
 def _holds(*patterns: str) -> Callable[[Path], bool]:

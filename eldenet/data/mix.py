@@ -15,17 +15,12 @@ from eldenet.types import DepthSample, Frame
 
 @dataclass(frozen=True)
 class Source:
-    """One data set of a mix.
-
-    Attributes:
-        frames: the data set.
-        weight: its share of the draws, relative to the other weights.
-        relative: its depth is known up to a factor (and a shift) only: it counts in the loss terms with
-            ``applies_to: relative`` and in no other.
-    """
+    """One data set of a mix."""
 
     frames: DepthDataset
-    weight: float
+    weight: float  # its share of the draws, relative to the other weights
+    # its depth is known up to a factor (and a shift) only: it counts in the loss terms with applies_to:
+    # relative and in no other
     relative: bool
 
 

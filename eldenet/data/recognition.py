@@ -35,15 +35,10 @@ _MANY = 2  # files that make a series
 
 
 class Reading(NamedTuple):
-    """One way to read a folder.
+    """One way to read a folder."""
 
-    Attributes:
-        note: what it would mean, such as the median depth in a unit.
-        settings: of the command line: ``data=folder``, ``data.images=rgb`` ...
-    """
-
-    note: str
-    settings: tuple[str, ...]
+    note: str  # what it would mean, such as the median depth in a unit
+    settings: tuple[str, ...]  # of the command line: data=folder, data.images=rgb ...
 
     @property
     def line(self) -> str:
@@ -53,16 +48,11 @@ class Reading(NamedTuple):
 
 @dataclass
 class Recognized:
-    """What a folder may be.
+    """What a folder may be."""
 
-    Attributes:
-        title: what it seems to be.
-        facts: files, sizes, numbers, lens and pairs, one line each.
-        readings: the ways to read it; several where its files allow several.
-    """
-
-    title: str
-    facts: list[str] = field(default_factory=list)
+    title: str  # what it seems to be
+    facts: list[str] = field(default_factory=list)  # files, sizes, numbers, lens and pairs, one line each
+    # the ways to read it; several where its files allow several
     readings: list[Reading] = field(default_factory=list)
 
 

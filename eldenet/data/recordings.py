@@ -29,19 +29,12 @@ logger = logging.getLogger("eldenet")
 
 
 class RecordedFrame(NamedTuple):
-    """The files of a frame, relative to the data set's folder, and what a list says of it.
+    """The files of a frame, relative to the data set's folder, and what a list says of it."""
 
-    Attributes:
-        key: what tells the frame from the others.
-        files: picture, depth map and, if there is one, confidence map.
-        scene: where it was recorded; "": not known.
-        camera: intrinsics and pose, or the file that holds them; None: not known.
-    """
-
-    key: Key
-    files: tuple[str, ...]
-    scene: str = ""
-    camera: Camera | str | None = None
+    key: Key  # what tells the frame from the others
+    files: tuple[str, ...]  # picture, depth map and, if there is one, confidence map
+    scene: str = ""  # where it was recorded; "": not known
+    camera: Camera | str | None = None  # intrinsics and pose, or the file that holds them; None: not known
 
 
 @dataclass(frozen=True)

@@ -32,32 +32,22 @@ class Generator(NamedTuple):
 
     Raise ``version`` whenever the frames change: stored results name their frames by it. The golden frames of
     ``tests/simulation/golden`` fail if the frames change and the version does not.
-
-    Attributes:
-        name: of the data set.
-        version: of its frames.
-        renderer: ``package.module.function`` of ``(split, index, (height, width), views) ->``
-            :class:`~eldenet.simulation.furnished_rooms.render.Views`, the frames of scene ``index``.
-        digests: by ``(height, width)``, a suffix of the folder's name: results stored before versions existed
-            know their frames by it.
-        focal: range of focal lengths [widths] that is given to the renderer; None: the renderer's own.
-        depth_step: stored depth is a multiple of this [m].
-        detail: passed on to the renderer where it is true.
-        near: share of frames of what is close; the same.
-        down: share of frames that look down; the same.
-        plain: share of rooms without patterns; the same.
     """
 
-    name: str
-    version: int
+    name: str  # of the data set
+    version: int  # of its frames
+    # package.module.function of (split, index, (height, width), views) -> Views, the frames of scene index
     renderer: str
+    # by (height, width), a suffix of the folder's name: results stored before versions existed know their
+    # frames by it
     digests: Mapping[tuple[int, int], str]
+    # range of focal lengths [widths] that is given to the renderer; None: the renderer's own
     focal: tuple[float, float] | None = None
-    depth_step: float = DEPTH_STEP
-    detail: bool = False
-    near: float = 0.0
-    down: float = 0.0
-    plain: float = 0.0
+    depth_step: float = DEPTH_STEP  # stored depth is a multiple of this [m]
+    detail: bool = False  # passed on to the renderer where it is true
+    near: float = 0.0  # share of frames of what is close; the same
+    down: float = 0.0  # share of frames that look down; the same
+    plain: float = 0.0  # share of rooms without patterns; the same
 
     @property
     def farthest(self) -> int:

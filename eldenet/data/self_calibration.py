@@ -38,19 +38,12 @@ class Pair(NamedTuple):
 
 
 class CameraFit(NamedTuple):
-    """How the camera differs from what was told; None where the drive does not tell.
+    """How the camera differs from what was told; None where the drive does not tell."""
 
-    Attributes:
-        focal: the true focal length over the one told.
-        pitch: how much lower it looks [rad].
-        yaw: how far it looks to the left [rad].
-        ahead: how far it sits before the place that was told [m].
-    """
-
-    focal: float | None = None
-    pitch: float | None = None
-    yaw: float | None = None
-    ahead: float | None = None
+    focal: float | None = None  # the true focal length over the one told
+    pitch: float | None = None  # how much lower it looks [rad]
+    yaw: float | None = None  # how far it looks to the left [rad]
+    ahead: float | None = None  # how far it sits before the place that was told [m]
 
 
 def find_pairs(views: Iterable[View]) -> list[Pair]:

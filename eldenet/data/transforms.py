@@ -17,21 +17,13 @@ Drawn = tuple[Any, dict[str, Any]]
 
 
 class Change(NamedTuple):
-    """What an :class:`Augmentation` drew for a frame; by default nothing.
+    """What an :class:`Augmentation` drew for a frame; by default nothing."""
 
-    Attributes:
-        intrinsics: ``(3, 3)`` of the moved picture [px], None if unknown.
-        matrix: ``(2, 3)``, how the picture moves [px].
-        nearer: depth is divided by it.
-        geometry: transforms of albumentations that move the picture, and what each drew.
-        color: the same, of those that recolor it.
-    """
-
-    intrinsics: np.ndarray | None
-    matrix: np.ndarray = IDENTITY
-    nearer: float = 1.0
-    geometry: Sequence[Drawn] = ()
-    color: Sequence[Drawn] = ()
+    intrinsics: np.ndarray | None  # (3, 3) of the moved picture [px], None if unknown
+    matrix: np.ndarray = IDENTITY  # (2, 3), how the picture moves [px]
+    nearer: float = 1.0  # depth is divided by it
+    geometry: Sequence[Drawn] = ()  # transforms of albumentations that move the picture, and what each drew
+    color: Sequence[Drawn] = ()  # the same, of those that recolor it
 
 
 class Augmentation:

@@ -14,41 +14,23 @@ from eldenet.system.timing import Waiting, median_ms, percentile_ms, time_interl
 
 @dataclass(frozen=True)
 class CostReport:
-    """Cost of one forward pass. A latency means nothing without the last six attributes.
+    """Cost of one forward pass. A latency means nothing without the last six attributes."""
 
-    Attributes:
-        params: number of parameters.
-        gmacs: multiply-adds of one image [1e9]; convolutions and matrix products, as torch counts them.
-        gflops: floating-point operations of one image [1e9]: 2 x gmacs.
-        latency_ms_p50: median time of one image, batch 1 [ms].
-        latency_ms_p95: 95th percentile [ms].
-        throughput_img_s: images per second at ``batch``.
-        peak_memory_mb: of the process (CPU) or the device (CUDA) [MB].
-        height: of the input [px].
-        width: of the input [px].
-        batch: for the throughput.
-        runtime: what executed the model.
-        precision: fp32, bf16, ...
-        threads: torch's threads.
-        device: "cpu" or the accelerator's name.
-        waiting: time on the clock over that of the processors while it was timed; about 1 or less where
-            no other job ran.
-    """
-
-    params: int
-    gmacs: float
-    gflops: float
-    latency_ms_p50: float
-    latency_ms_p95: float
-    throughput_img_s: float
-    peak_memory_mb: float
-    height: int
-    width: int
-    batch: int
-    runtime: str
-    precision: str
-    threads: int
-    device: str
+    params: int  # number of parameters
+    gmacs: float  # multiply-adds of one image [1e9]; convolutions and matrix products, as torch counts them
+    gflops: float  # floating-point operations of one image [1e9]: 2 x gmacs
+    latency_ms_p50: float  # median time of one image, batch 1 [ms]
+    latency_ms_p95: float  # 95th percentile [ms]
+    throughput_img_s: float  # images per second at batch
+    peak_memory_mb: float  # of the process (CPU) or the device (CUDA) [MB]
+    height: int  # of the input [px]
+    width: int  # of the input [px]
+    batch: int  # for the throughput
+    runtime: str  # what executed the model
+    precision: str  # fp32, bf16, ...
+    threads: int  # torch's threads
+    device: str  # "cpu" or the accelerator's name
+    # time on the clock over that of the processors while it was timed; about 1 or less where no other job ran
     waiting: float = 1.0
 
 

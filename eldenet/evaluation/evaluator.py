@@ -26,19 +26,13 @@ PER_IMAGE_HEADER = ("name", *METRICS)
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Metrics of a data set and of each of its images.
+    """Metrics of a data set and of each of its images."""
 
-    Attributes:
-        metrics: by name, with ``images`` and ``pixels``.
-        rows: ``(name, *metrics)`` per image, in the data set's order.
-        classes: errors by semantic class, see :meth:`~.metrics.DepthMetrics.by_class`; empty without labels.
-        uncertainty: measures of the network's sigma, whose means are in ``metrics`` too; None: it predicts
-            none.
-    """
-
-    metrics: dict[str, float]
-    rows: list[tuple[Any, ...]]
+    metrics: dict[str, float]  # by name, with images and pixels
+    rows: list[tuple[Any, ...]]  # (name, *metrics) per image, in the data set's order
+    # errors by semantic class, see DepthMetrics.by_class; empty without labels
     classes: dict[str, dict[str, float]] = field(default_factory=dict)
+    # measures of the network's sigma, whose means are in metrics too; None: it predicts none
     uncertainty: "UncertaintyScores | None" = None
 
 

@@ -21,22 +21,15 @@ class UncertaintyProtocol:
     between the curve and the oracle's, which removes the pixels of the largest error of the same kind first
     (Ilg et al., "Uncertainty Estimates and Multi-Hypotheses Networks for Optical Flow", ECCV 2018). Every
     measure is the mean over images.
-
-    Attributes:
-        name: what a table calls it.
-        steps: of a curve.
-        removed: share of an image's pixels left out in ``abs_rel_sure80``.
-        unit: sigma ranks the pixels in the error's own unit: sigma / depth for AbsRel, sigma [m] for RMSE.
-        levels: of the intervals.
-        average: over what the measures are averaged.
     """
 
-    name: str = "per_image_20_steps"
-    steps: int = 20
-    removed: float = 0.2
+    name: str = "per_image_20_steps"  # what a table calls it
+    steps: int = 20  # of a curve
+    removed: float = 0.2  # share of an image's pixels left out in abs_rel_sure80
+    # sigma ranks the pixels in the error's own unit: sigma / depth for AbsRel, sigma [m] for RMSE
     unit: str = "the error's"
-    levels: tuple[float, ...] = LEVELS
-    average: str = "image"
+    levels: tuple[float, ...] = LEVELS  # of the intervals
+    average: str = "image"  # over what the measures are averaged
 
     def as_dict(self) -> dict[str, Any]:
         """Every rule by name, as ``run.json`` stores it."""
@@ -50,19 +43,13 @@ RELIABILITY_LEVELS = tuple(level / 20 for level in range(1, 20))
 
 @dataclass(frozen=True)
 class UncertaintyScores:
-    """Measures of a data set.
+    """Measures of a data set."""
 
-    Attributes:
-        metrics: by name.
-        rows: ``(name, *measures)`` per image, in the data set's order.
-        curves: error -> mean sparsification curves ``(2, steps + 1)``: by sigma, and the oracle's.
-        coverage: share of pixels inside the intervals of ``RELIABILITY_LEVELS``, mean over images.
-    """
-
-    metrics: dict[str, float]
-    rows: list[tuple[Any, ...]]
+    metrics: dict[str, float]  # by name
+    rows: list[tuple[Any, ...]]  # (name, *measures) per image, in the data set's order
+    # error -> mean sparsification curves (2, steps + 1): by sigma, and the oracle's
     curves: dict[str, np.ndarray]
-    coverage: np.ndarray
+    coverage: np.ndarray  # share of pixels inside the intervals of RELIABILITY_LEVELS, mean over images
 
 
 @dataclass(frozen=True)

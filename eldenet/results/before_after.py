@@ -33,23 +33,14 @@ OTHERS = {"scale_error": "error of scale"}
 
 @dataclass(frozen=True)
 class Change:
-    """A metric of the same frames before and after.
-
-    Attributes:
-        metric: its name.
-        before: mean over the frames.
-        after: mean over the frames.
-        low: lower end of the 95 % interval of ``after - before`` (paired bootstrap over stretches of time).
-        high: upper end.
-        frames: how many.
-    """
+    """A metric of the same frames before and after."""
 
     metric: str
-    before: float
-    after: float
-    low: float
-    high: float
-    frames: int
+    before: float  # mean over the frames
+    after: float  # mean over the frames
+    low: float  # lower end of the 95 % interval of after - before (paired bootstrap over stretches of time)
+    high: float  # upper end
+    frames: int  # how many
 
     @property
     def is_better(self) -> bool:

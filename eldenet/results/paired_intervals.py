@@ -18,36 +18,22 @@ SCENES_ALONE = "scenes alone"  # an interval that does not include the chance in
 
 @dataclass(frozen=True)
 class Scores:
-    """A metric of every image in every run of a row.
+    """A metric of every image in every run of a row."""
 
-    Attributes:
-        images: their names.
-        values: ``(runs, images)``.
-        source: the row, for messages.
-    """
-
-    images: tuple[str, ...]
-    values: np.ndarray
-    source: str = "one row"
+    images: tuple[str, ...]  # their names
+    values: np.ndarray  # (runs, images)
+    source: str = "one row"  # the row, for messages
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of a row's metric to the reference row's: mean over the images, 95 % interval over scenes.
+    """Difference of a row's metric to the reference row's: mean over images, 95 % interval over scenes."""
 
-    Attributes:
-        mean: ours minus theirs.
-        low: lower end of the interval.
-        high: upper end.
-        seeds: whether seeds were drawn too, so that the interval includes the chance in a training.
-        lower_is_better: for the metric.
-    """
-
-    mean: float
-    low: float
-    high: float
-    seeds: bool
-    lower_is_better: bool
+    mean: float  # ours minus theirs
+    low: float  # lower end of the interval
+    high: float  # upper end
+    seeds: bool  # whether seeds were drawn too, so that the interval includes the chance in a training
+    lower_is_better: bool  # for the metric
 
     @property
     def verdict(self) -> str:

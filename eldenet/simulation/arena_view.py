@@ -35,16 +35,11 @@ _NOSE_TO_WALL = 0.4  # median depth [m]
 
 
 class Photo(NamedTuple):
-    """An RGB-D frame of an arena.
+    """An RGB-D frame of an arena."""
 
-    Attributes:
-        image: ``(H, W, 3)`` uint8 RGB.
-        depth: ``(H, W)`` float32, true [m].
-        obstacle: ``(H, W)`` index into :attr:`Arena.obstacles` of what each pixel shows; -1: floor, walls.
-    """
-
-    image: np.ndarray
-    depth: np.ndarray
+    image: np.ndarray  # (H, W, 3) uint8 RGB
+    depth: np.ndarray  # (H, W) float32, true [m]
+    # (H, W) index into Arena.obstacles of what each pixel shows; -1: floor, walls
     obstacle: np.ndarray
 
 

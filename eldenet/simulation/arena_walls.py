@@ -28,18 +28,14 @@ LANES = (3, 5)  # least and greatest number of lanes of a corridor
 
 
 class Walls(NamedTuple):
-    """Walls of an arena, and where nothing else may stand.
+    """Walls of an arena, and where nothing else may stand."""
 
-    Attributes:
-        boxes: the walls.
-        clear: points [m] and the radius [m] around each that stays free of obstacles.
-        ends: start x, y [m], heading [rad] and goal x, y [m], where the walls go with them; None: anywhere.
-        narrow: nowhere is more room than a corridor has: no obstacles, and less room around the ends.
-    """
-
-    boxes: tuple[Obstacle, ...]
+    boxes: tuple[Obstacle, ...]  # the walls
+    # points [m] and the radius [m] around each that stays free of obstacles
     clear: tuple[tuple[Point, float], ...]
+    # start x, y [m], heading [rad] and goal x, y [m], where the walls go with them; None: anywhere
     ends: tuple[tuple[float, float, float], Point] | None = None
+    # nowhere is more room than a corridor has: no obstacles, and less room around the ends
     narrow: bool = False
 
     def leave_room(self, x: float, y: float, radius: float) -> bool:

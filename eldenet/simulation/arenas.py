@@ -48,27 +48,16 @@ MAX_CLEARANCE = 1.6  # of a clearance map [m]
 
 @dataclass(frozen=True)
 class Arena:
-    """A world, a start and a goal.
+    """A world, a start and a goal."""
 
-    Attributes:
-        split: whose seed it has; "" for one that was written by hand.
-        density: number of standing obstacles beside the walls.
-        index: within the split and density.
-        obstacles: standing ones, then pedestrians.
-        start: x, y [m] and heading [rad] of the robot.
-        waypoints: to be reached in this order, the goal last [m].
-        side: of the square around the origin [m].
-        kind: of :data:`KINDS`, as :func:`generate_arena` describes them.
-    """
-
-    split: str
-    density: int
-    index: int
-    obstacles: tuple[Obstacle, ...]
-    start: tuple[float, float, float]
-    waypoints: tuple[Point, ...]
-    side: float = SIDE
-    kind: str = "open"
+    split: str  # whose seed it has; "" for one that was written by hand
+    density: int  # number of standing obstacles beside the walls
+    index: int  # within the split and density
+    obstacles: tuple[Obstacle, ...]  # standing ones, then pedestrians
+    start: tuple[float, float, float]  # x, y [m] and heading [rad] of the robot
+    waypoints: tuple[Point, ...]  # to be reached in this order, the goal last [m]
+    side: float = SIDE  # of the square around the origin [m]
+    kind: str = "open"  # of KINDS, as generate_arena describes them
 
     @property
     def pedestrians(self) -> tuple[Obstacle, ...]:

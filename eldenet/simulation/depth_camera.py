@@ -6,21 +6,14 @@ import numpy as np
 
 
 class StereoArtifacts(NamedTuple):
-    """Errors of a stereo depth camera; the defaults are about those of an Intel RealSense D435.
+    """Errors of a stereo depth camera; the defaults are about those of an Intel RealSense D435."""
 
-    Attributes:
-        baseline: between the two cameras [m]; what only the left one sees has no depth.
-        nearest: depth below it is unknown [m].
-        noise: standard deviation of the disparity, relative to the width of the frame: 0.1 px of 848.
-        mixed: share of the pixels at edges whose depth lies between that of front and back.
-        dead_columns: pixel columns without depth, drawn once per episode.
-    """
-
-    baseline: float = 0.05
-    nearest: float = 0.28
+    baseline: float = 0.05  # between the two cameras [m]; what only the left one sees has no depth
+    nearest: float = 0.28  # depth below it is unknown [m]
+    # standard deviation of the disparity, relative to the width of the frame: 0.1 px of 848
     noise: float = 0.1 / 848
-    mixed: float = 0.3
-    dead_columns: int = 1
+    mixed: float = 0.3  # share of the pixels at edges whose depth lies between that of front and back
+    dead_columns: int = 1  # pixel columns without depth, drawn once per episode
 
     def draw_dead(self, width: int, rng: np.random.Generator) -> np.ndarray:
         """Draw the numbers ``(dead_columns,)`` of the dead columns of a frame of ``width`` pixels."""

@@ -16,27 +16,17 @@ THIN = 0.2  # boxes thinner than this are walls [m]
 
 @dataclass(frozen=True)
 class Obstacle:
-    """An upright object on the floor.
+    """An upright object on the floor."""
 
-    Attributes:
-        kind: "cylinder", "person" (both round), "box" or "vehicle".
-        x: of its center [m].
-        y: of its center [m].
-        yaw: counter-clockwise [rad].
-        half: half extents along its own axes [m]; the radius twice if it is round.
-        height: [m].
-        path: corners of the closed path on which a pedestrian walks; empty for a standing obstacle.
-        speed: along the path [m/s].
-    """
-
-    kind: str
-    x: float
-    y: float
-    yaw: float
-    half: Point
-    height: float
+    kind: str  # "cylinder", "person" (both round), "box" or "vehicle"
+    x: float  # of its center [m]
+    y: float  # of its center [m]
+    yaw: float  # counter-clockwise [rad]
+    half: Point  # half extents along its own axes [m]; the radius twice if it is round
+    height: float  # [m]
+    # corners of the closed path on which a pedestrian walks; empty for a standing obstacle
     path: tuple[Point, ...] = ()
-    speed: float = 0.0
+    speed: float = 0.0  # along the path [m/s]
 
     @property
     def round(self) -> bool:

@@ -10,34 +10,20 @@ class Robot(NamedTuple):
     """A three-wheeled robot with a forward RGB-D camera, as the paper's; its differential drive is ours.
 
     The frame has x ahead, y to the left, and its origin at the center of the footprint, on the wheels' axle.
-
-    Attributes:
-        length: of the footprint along x [m].
-        width: of the footprint along y [m].
-        height: of its top [m].
-        camera_ahead: optical center in front of the axle [m].
-        camera_height: optical center above the floor [m].
-        field_of_view: of the camera, horizontal [rad].
-        columns: sectors of equal angle in the field of view, right to left.
-        near: least range that the camera measures [m], also reported for anything nearer.
-        far: greatest range [m], also reported where nothing is hit.
-        max_speed: [m/s].
-        max_turn: [rad/s].
-        period: of control [s].
     """
 
-    length: float = 0.60
-    width: float = 0.50
-    height: float = 0.50
-    camera_ahead: float = 0.20
-    camera_height: float = 0.40
-    field_of_view: float = math.radians(69.4)
-    columns: int = 40
-    near: float = 0.3
-    far: float = 10.0
-    max_speed: float = 1.0
-    max_turn: float = 1.2
-    period: float = 0.2
+    length: float = 0.60  # of the footprint along x [m]
+    width: float = 0.50  # of the footprint along y [m]
+    height: float = 0.50  # of its top [m]
+    camera_ahead: float = 0.20  # optical center in front of the axle [m]
+    camera_height: float = 0.40  # optical center above the floor [m]
+    field_of_view: float = math.radians(69.4)  # of the camera, horizontal [rad]
+    columns: int = 40  # sectors of equal angle in the field of view, right to left
+    near: float = 0.3  # least range that the camera measures [m], also reported for anything nearer
+    far: float = 10.0  # greatest range [m], also reported where nothing is hit
+    max_speed: float = 1.0  # [m/s]
+    max_turn: float = 1.2  # [rad/s]
+    period: float = 0.2  # of control [s]
 
     @property
     def radius(self) -> float:

@@ -33,32 +33,19 @@ _LABEL_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  #
 
 
 class StreetView(NamedTuple):
-    """One frame of a scene.
+    """One frame of a scene."""
 
-    Attributes:
-        image: ``(H, W, 3)`` uint8 RGB.
-        depth: ``(H, W)`` float32 [m], 0 = nothing within reach.
-        camera: tilted by a degree or so against the ground.
-        boxes: visible objects, in the camera's own frame.
-        detections: boxes around their visible pixels, in the same order.
-        visible: ``(N,)`` share of each object's pixels that nothing hides; pixels outside the image count
-            as hidden.
-        truncated: ``(N,)`` bool: the image border cuts the object.
-        instance: ``(H, W)`` number of the object, -1 elsewhere.
-        height: of the camera above the ground [m].
-        rotation: ``(3, 3)`` world from camera.
-    """
-
-    image: np.ndarray
-    depth: np.ndarray
-    camera: PinholeCamera
-    boxes: Boxes3D
-    detections: Detections2D
+    image: np.ndarray  # (H, W, 3) uint8 RGB
+    depth: np.ndarray  # (H, W) float32 [m], 0 = nothing within reach
+    camera: PinholeCamera  # tilted by a degree or so against the ground
+    boxes: Boxes3D  # visible objects, in the camera's own frame
+    detections: Detections2D  # boxes around their visible pixels, in the same order
+    # (N,) share of each object's pixels that nothing hides; pixels outside the image count as hidden
     visible: np.ndarray
-    truncated: np.ndarray
-    instance: np.ndarray
-    height: float
-    rotation: np.ndarray
+    truncated: np.ndarray  # (N,) bool: the image border cuts the object
+    instance: np.ndarray  # (H, W) number of the object, -1 elsewhere
+    height: float  # of the camera above the ground [m]
+    rotation: np.ndarray  # (3, 3) world from camera
 
 
 def render_street(

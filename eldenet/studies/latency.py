@@ -27,19 +27,12 @@ COUNTED = ("params", "gmacs", "height", "width")  # of a network, both measured 
 
 @dataclass(frozen=True)
 class RowNetworks:
-    """The different networks of a study, each at the input size of its rows.
+    """The different networks of a study, each at the input size of its rows."""
 
-    Attributes:
-        networks: initialized from seed 0, by the name of the first row with it.
-        sizes: (height, width) [px] of each network's input.
-        settings: ``model`` section of each network's config.
-        network_of: row -> name of its network.
-    """
-
-    networks: dict[str, "DepthNet"]
-    sizes: dict[str, tuple[int, int]]
-    settings: dict[str, Any]
-    network_of: dict[str, str]
+    networks: dict[str, "DepthNet"]  # initialized from seed 0, by the name of the first row with it
+    sizes: dict[str, tuple[int, int]]  # (height, width) [px] of each network's input
+    settings: dict[str, Any]  # model section of each network's config
+    network_of: dict[str, str]  # row -> name of its network
 
 
 def row_networks(study: Study) -> RowNetworks:

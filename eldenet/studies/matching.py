@@ -54,17 +54,11 @@ def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
 
 @dataclass(frozen=True)
 class Choice:
-    """The learning rate that the trials of a row chose.
+    """The learning rate that the trials of a row chose."""
 
-    Attributes:
-        rate: the best one.
-        tried: all, in ascending order.
-        record: everything that is stored of the trials.
-    """
-
-    rate: float
-    tried: tuple[float, ...]
-    record: Mapping[str, Any]
+    rate: float  # the best one
+    tried: tuple[float, ...]  # all, in ascending order
+    record: Mapping[str, Any]  # everything that is stored of the trials
 
     @property
     def at_the_edge(self) -> bool:
@@ -127,15 +121,10 @@ def _planned(study: Study, row: StudyRow, shared: Sequence[str], *, seed: int) -
 
 @dataclass(frozen=True)
 class Stored:
-    """The stored runs of a row, if they were made with the settings that the plan asks for today.
+    """The stored runs of a row, if they were made with the settings that the plan asks for today."""
 
-    Attributes:
-        runs: contents of ``run.json``, one per finished seed.
-        outdated: a setting that differs from the plan; there are no runs then.
-    """
-
-    runs: list[dict[str, Any]] = field(default_factory=list)
-    outdated: str | None = None
+    runs: list[dict[str, Any]] = field(default_factory=list)  # contents of run.json, one per finished seed
+    outdated: str | None = None  # a setting that differs from the plan; there are no runs then
 
 
 def stored_runs(study: Study, row: StudyRow) -> Stored:

@@ -25,31 +25,24 @@ WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher"
 
 @dataclass(frozen=True)
 class StudyRow:
-    """One row of the tables.
+    """One row of the tables."""
 
-    Attributes:
-        name: of the row, of its runs and their folders.
-        overrides: of ``eldenet.train``, after the study's own; ``{runs}`` stands for the study's run folder,
-            ``{seed}`` for the run's seed.
-        seeds: one run each.
-        block: start class or data set; rows are compared within their block only.
-        seen: data that its weights have seen before and during training; "not stated" by default where other
-            weights take part.
-        given: name -> setting that the command line must give (``given.kitti=/data/kitti``) before the row
-            can run, such as ``{kitti: data.root}``.
-        learning_rate: of the optimizer; None: the study's ``learning_rates`` are searched, if it has any.
-        rate_overrides: of its trials, after the study's ``rate_overrides``.
-        owner: the study that the row is taken from: it runs with that study's settings and is stored there.
-    """
-
-    name: str
+    name: str  # of the row, of its runs and their folders
+    # of eldenet.train, after the study's own; {runs} stands for the study's run folder, {seed} for the run's
+    # seed
     overrides: tuple[str, ...] = ()
-    seeds: tuple[int, ...] = (0,)
-    block: str = "scratch"
+    seeds: tuple[int, ...] = (0,)  # one run each
+    block: str = "scratch"  # start class or data set; rows are compared within their block only
+    # data that its weights have seen before and during training; "not stated" by default where other weights
+    # take part
     seen: str = "the training frames alone"
+    # name -> setting that the command line must give (given.kitti=/data/kitti) before the row can run, such
+    # as {kitti: data.root}
     given: Mapping[str, str] = field(default_factory=dict)
+    # of the optimizer; None: the study's learning_rates are searched, if it has any
     learning_rate: float | None = None
-    rate_overrides: tuple[str, ...] = ()
+    rate_overrides: tuple[str, ...] = ()  # of its trials, after the study's rate_overrides
+    # the study that the row is taken from: it runs with that study's settings and is stored there
     owner: "Study | None" = None
 
     @property
@@ -60,36 +53,28 @@ class StudyRow:
 
 @dataclass(frozen=True)
 class Study:
-    """The plan of a study.
+    """The plan of a study."""
 
-    Attributes:
-        folder: of ``sweep.yaml`` and of the results.
-        rows: in the order of the tables.
-        overrides: of ``eldenet.train``, shared by all rows.
-        learning_rates: values of ``optimizer.lr`` that every row tries; empty: the optimizer's own is used.
-        rate_overrides: of a trial: fewer epochs, and a held-out part of the training split as ``data.test``.
-        reference: rows that the others of their block are compared with, image by image.
-        compare: the metric of that comparison.
-        columns: metrics of the tables.
-        epoch: "chosen": metrics of the epoch whose weights a run kept; "last": of its last epoch, from the
-            training's history, where the epoch was chosen on the frames of the table. There are no
-            differences then, since the metrics of single images are those of the kept weights.
-        plots: "pareto" (accuracy against latency or, without one, multiply-adds), "differences" (to the
-            reference rows, with intervals).
-        latency: CSV in the study's folder that ``eldenet.benchmark study=...`` wrote; None: no latencies,
-            since those that runs measure beside other work mislead.
-    """
-
-    folder: Path
-    rows: tuple[StudyRow, ...]
-    overrides: tuple[str, ...] = ()
+    folder: Path  # of sweep.yaml and of the results
+    rows: tuple[StudyRow, ...]  # in the order of the tables
+    overrides: tuple[str, ...] = ()  # of eldenet.train, shared by all rows
+    # values of optimizer.lr that every row tries; empty: the optimizer's own is used
     learning_rates: tuple[float, ...] = ()
+    # of a trial: fewer epochs, and a held-out part of the training split as data.test
     rate_overrides: tuple[str, ...] = ()
-    reference: tuple[str, ...] = ()
-    compare: str = "delta1"
+    reference: tuple[str, ...] = ()  # rows that the others of their block are compared with, image by image
+    compare: str = "delta1"  # the metric of that comparison
+    # metrics of the tables
     columns: tuple[str, ...] = ("abs_rel", "rmse", "mae", "mse", "delta1", "delta2", "delta3")
+    # "chosen": metrics of the epoch whose weights a run kept; "last": of its last epoch, from the training's
+    # history, where the epoch was chosen on the frames of the table. There are no differences then, since the
+    # metrics of single images are those of the kept weights
     epoch: str = "chosen"
+    # "pareto" (accuracy against latency or, without one, multiply-adds), "differences" (to the reference
+    # rows, with intervals)
     plots: tuple[str, ...] = ("pareto",)
+    # CSV in the study's folder that eldenet.benchmark study=... wrote; None: no latencies, since those that
+    # runs measure beside other work mislead
     latency: str | None = None
 
     @property

@@ -27,31 +27,19 @@ EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 @dataclass(frozen=True)
 class Block:
-    """One table: rows of one start class.
+    """One table: rows of one start class."""
 
-    Attributes:
-        name: of the start class.
-        titles: of the columns.
-        rows: cells.
-        notes: lines below the table.
-        points: row, latency [ms] or GMACs, metric, for the plot.
-        differences: to the reference row, by row.
-        reference: that row; "" without one.
-        published: number of the first column of published figures, which are shown in a separate table.
-        parts: numbers of the columns of metrics, of the difference and of the costs; each list starts with 0.
-        core: numbers of the columns that come first where there is no room for all.
-    """
-
-    name: str
-    titles: list[str]
-    rows: list[list[str]]
-    notes: list[str]
-    points: list[tuple[str, float, float]]
-    differences: dict[str, Difference]
-    reference: str
-    published: int
+    name: str  # of the start class
+    titles: list[str]  # of the columns
+    rows: list[list[str]]  # cells
+    notes: list[str]  # lines below the table
+    points: list[tuple[str, float, float]]  # row, latency [ms] or GMACs, metric, for the plot
+    differences: dict[str, Difference]  # to the reference row, by row
+    reference: str  # that row; "" without one
+    published: int  # number of the first column of published figures, which are shown in a separate table
+    # numbers of the columns of metrics, of the difference and of the costs; each list starts with 0
     parts: list[list[int]]
-    core: list[int]
+    core: list[int]  # numbers of the columns that come first where there is no room for all
 
     def measured_here(self) -> tuple[list[str], list[list[str]]]:
         """Titles and rows without the published figures."""
@@ -105,21 +93,13 @@ def read_expected(folder: Path) -> list[dict[str, str]]:
 
 @dataclass(frozen=True)
 class Member:
-    """A row of a block with its runs and published figures.
+    """A row of a block with its runs and published figures."""
 
-    Attributes:
-        row: of the plan.
-        grouped: its finished runs; None: there are none.
-        expected: its line of ``expected.csv``; empty if it has none.
-        planned: False for a rival that has that line only.
-        outdated: why its stored runs are not shown.
-    """
-
-    row: StudyRow
-    expected: Mapping[str, str]
-    grouped: Row | None = None
-    planned: bool = True
-    outdated: str | None = None
+    row: StudyRow  # of the plan
+    expected: Mapping[str, str]  # its line of expected.csv; empty if it has none
+    grouped: Row | None = None  # its finished runs; None: there are none
+    planned: bool = True  # False for a rival that has that line only
+    outdated: str | None = None  # why its stored runs are not shown
 
     @property
     def runs(self) -> Sequence[Mapping[str, Any]]:

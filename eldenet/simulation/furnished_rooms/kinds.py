@@ -19,23 +19,14 @@ class Item(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """A kind of room.
+    """A kind of room."""
 
-    Attributes:
-        share: weight among all rooms.
-        side: range of both sides [m].
-        height: range of the ceiling [m].
-        along: items along the walls.
-        middle: items in the open.
-        groups: range of the number of those.
-    """
-
-    share: int
-    side: Range
-    height: Range
-    along: tuple[Item, ...]
-    middle: tuple[Item, ...]
-    groups: tuple[int, int]
+    share: int  # weight among all rooms
+    side: Range  # range of both sides [m]
+    height: Range  # range of the ceiling [m]
+    along: tuple[Item, ...]  # items along the walls
+    middle: tuple[Item, ...]  # items in the open
+    groups: tuple[int, int]  # range of the number of those
 
 
 TABLE = Item(f.table, (0.8, 1.8), (0.6, 1.0), 0.75)

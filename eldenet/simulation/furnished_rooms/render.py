@@ -18,35 +18,21 @@ KINECT = (0.76, 0.88)  # fx [widths]: about 63 degrees
 
 
 class Views(NamedTuple):
-    """All frames of one room.
+    """All frames of one room."""
 
-    Attributes:
-        image: ``(V, H, W, 3)`` uint8 RGB.
-        depth: ``(V, H, W)`` float32 [m], 0 = nothing within reach.
-        intrinsics: ``(V, 3, 3)`` float64 [px].
-        position: ``(V, 3)`` float64 camera centers in the room [m].
-        rotation: ``(V, 3, 3)`` float64 world from camera.
-    """
-
-    image: np.ndarray
-    depth: np.ndarray
-    intrinsics: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
+    image: np.ndarray  # (V, H, W, 3) uint8 RGB
+    depth: np.ndarray  # (V, H, W) float32 [m], 0 = nothing within reach
+    intrinsics: np.ndarray  # (V, 3, 3) float64 [px]
+    position: np.ndarray  # (V, 3) float64 camera centers in the room [m]
+    rotation: np.ndarray  # (V, 3, 3) float64 world from camera
 
 
 class Shares(TypedDict, total=False):
-    """What a data set may show more of.
+    """What a data set may show more of."""
 
-    Attributes:
-        near: share of frames of what is close: half of their pixels within 0.3 to 1.2 m.
-        down: share of frames that look down at the floor and what stands on it.
-        plain: share of rooms whose surfaces have no pattern.
-    """
-
-    near: float
-    down: float
-    plain: float
+    near: float  # share of frames of what is close: half of their pixels within 0.3 to 1.2 m
+    down: float  # share of frames that look down at the floor and what stands on it
+    plain: float  # share of rooms whose surfaces have no pattern
 
 
 def render_room(

@@ -127,23 +127,14 @@ def _shifted(length: int, step: int) -> tuple[slice, slice]:
 
 
 class Sun(NamedTuple):
-    """Sun through a window.
+    """Sun through a window."""
 
-    Attributes:
-        center: of the window [m].
-        along: the wall.
-        normal: of the wall, inwards.
-        toward: the sun.
-        half: width and height [m].
-        strength: of its light.
-    """
-
-    center: tuple[float, float, float]
-    along: tuple[float, float, float]
-    normal: tuple[float, float, float]
-    toward: tuple[float, float, float]
-    half: tuple[float, float]
-    strength: float
+    center: tuple[float, float, float]  # of the window [m]
+    along: tuple[float, float, float]  # the wall
+    normal: tuple[float, float, float]  # of the wall, inwards
+    toward: tuple[float, float, float]  # the sun
+    half: tuple[float, float]  # width and height [m]
+    strength: float  # of its light
 
 
 def add_sun(light: np.ndarray, sun: Sun, room: "CompiledRoom", hits: Hits, size: tuple[int, int]) -> None:

@@ -17,19 +17,12 @@ _HIDDEN = 5
 
 
 class Hits(NamedTuple):
-    """What the rays of one frame hit, row by row; ``N = H * W``.
+    """What the rays of one frame hit, row by row; ``N = H * W``."""
 
-    Attributes:
-        depth: ``(N,)`` float64, distance along the optical axis [m]; 0 where nothing was hit.
-        geom: ``(N,)`` int32 geom number, -1 where nothing was hit.
-        point: ``(3, N)`` float32 world points [m].
-        normal: ``(3, N)`` float32 unit outward surface normals in the world.
-    """
-
-    depth: np.ndarray
-    geom: np.ndarray
-    point: np.ndarray
-    normal: np.ndarray
+    depth: np.ndarray  # (N,) float64, distance along the optical axis [m]; 0 where nothing was hit
+    geom: np.ndarray  # (N,) int32 geom number, -1 where nothing was hit
+    point: np.ndarray  # (3, N) float32 world points [m]
+    normal: np.ndarray  # (3, N) float32 unit outward surface normals in the world
 
 
 class RayCamera:

@@ -23,29 +23,20 @@ _FACE_V = np.array([2, 2, 1], dtype=np.intp)
 
 @dataclass
 class Room:
-    """A room (or a street, or an arena) ready to compile.
+    """A room (or a street, or an arena) ready to compile."""
 
-    Attributes:
-        kind: bedroom, kitchen, ...
-        size: extents in x and y and ceiling height [m]; the origin is the middle of the floor.
-        text: MJCF.
-        lights: rows of x, y, z [m], r, g, b, reach [m].
-        obstacles: rows of x0, y0, x1, y1, height [m]: where a camera cannot stand.
-        pieces: body number in the model -> maker ("chair", "person", ...) of the furniture and people.
-        ambient: share of the light that comes from everywhere.
-        suns: sun that falls through a window; only seen with ``detail``.
-        detail: light bounces once, and it is darker where things touch.
-    """
-
-    kind: str
+    kind: str  # bedroom, kitchen, ...
+    # extents in x and y and ceiling height [m]; the origin is the middle of the floor
     size: tuple[float, float, float]
-    text: str = ""
-    lights: list[tuple[float, ...]] = field(default_factory=list)
+    text: str = ""  # MJCF
+    lights: list[tuple[float, ...]] = field(default_factory=list)  # rows of x, y, z [m], r, g, b, reach [m]
+    # rows of x0, y0, x1, y1, height [m]: where a camera cannot stand
     obstacles: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    # body number in the model -> maker ("chair", "person", ...) of the furniture and people
     pieces: dict[int, str] = field(default_factory=dict)
-    ambient: float = 0.5
-    suns: list[Sun] = field(default_factory=list)
-    detail: bool = False
+    ambient: float = 0.5  # share of the light that comes from everywhere
+    suns: list[Sun] = field(default_factory=list)  # sun that falls through a window; only seen with detail
+    detail: bool = False  # light bounces once, and it is darker where things touch
 
 
 class CompiledRoom:
