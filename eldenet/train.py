@@ -118,7 +118,13 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
     from eldenet.results.score import score
     from eldenet.results.tables import closing_table
     from eldenet.training import notes
-    from eldenet.training.initialization import canonical_camera, check_loss, initial_model, trained_sizes
+    from eldenet.training.initialization import (
+        canonical_camera,
+        check_loss,
+        check_range,
+        initial_model,
+        trained_sizes,
+    )
     from eldenet.training.normalization import normalization, write_normalization
     from eldenet.training.trainer import TrainingData
 
@@ -136,7 +142,9 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
     network = s.model | canonical_camera(s.canonical_focal, s.data["input_size"])
     trusted = [*modules_named_in(s.model), *listed(s.trusted_modules)]
     # before the data, which may take minutes to render: a wrong setting shows at once
-    check_loss(loss, initial_model(network, s.seed, s.weights, trusted), s.teacher)
+    untrained = initial_model(network, s.seed, s.weights, trusted)
+    check_loss(loss, untrained, s.teacher)
+    check_range(untrained, s.data)
 
     join_processes(resources, s.process_timeout)
     with main_process_first(resources):  # it renders or prepares what the others then find

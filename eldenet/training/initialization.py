@@ -88,6 +88,18 @@ def check_loss(loss: WeightedSum, model: DepthNet, teacher: str | None) -> None:
     )
 
 
+def check_range(model: DepthNet, data: Mapping[str, Any]) -> None:
+    """Raise ValueError if the network cannot reach all depth that counts as known in frames of ``data``."""
+    head = model.head
+    near, far = data.get("min_depth") or head.min_depth, data.get("max_depth") or head.max_depth
+    if model.canonical_px is None and not head.min_depth <= near <= far <= head.max_depth:
+        raise ValueError(
+            f"model.head reaches {head.min_depth:g} to {head.max_depth:g} m, but depth from {near:g} to "
+            f"{far:g} m counts as known: leave min_depth and max_depth of model.head out, or give the same "
+            "data.min_depth and data.max_depth"
+        )
+
+
 def _take_over(model: DepthNet, weights: str, trusted_modules: Sequence[str], *, chosen: bool) -> list[str]:
     """Copy all weights that fit into ``model``; ``chosen``: the user asked for its normalization.
 

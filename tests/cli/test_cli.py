@@ -92,7 +92,8 @@ def test_a_damaged_picture_is_one_line_also_where_workers_read_it(run_command, t
     "wrong",
     [
         *("trainer.monitor=accuracy", "ckpt_path=none.pt", "weights=nowhere", "weights=resnet18_upconv"),
-        *("model.backbone.scale=0.33", ["teacher=nowhere", "loss=ssim_l1_distill"]),
+        *("model.backbone.scale=0.33", "model.head.max_depth=5.5"),
+        ["teacher=nowhere", "loss=ssim_l1_distill"],
     ],
 )
 def test_a_wrong_setting_is_refused_before_frames_are_rendered(run_command, tmp_path, wrong):
