@@ -3,7 +3,7 @@
 python -m eldenet.study study=experiments/table3_rivals                    every row, one after the other
 python -m eldenet.study study=experiments/table3_rivals 'rows=[eldenet]'   some rows
 python -m eldenet.study -m study=experiments/table3_rivals hydra/launcher=ray   one job per row, anywhere
-Finished runs are skipped, killed ones resume, failed ones are listed at the end.
+Wrong settings of any row show first. Finished runs are skipped, killed ones resume, failed ones are listed.
 """
 
 import os
@@ -43,10 +43,11 @@ def study(s: StudySettings) -> None:
     """Run the chosen rows one after the other and print at the end what became of each.
 
     Raises:
-        ValueError: after all of them, if some failed; at once for unknown rows, or seeds that no row has.
+        ValueError: after all of them, if some failed; at once for wrong settings of a row, unknown rows, or
+            seeds that no row has.
     """
     from eldenet.results.run_log import RunLog
-    from eldenet.studies.runner import run_row
+    from eldenet.studies.runner import refuse_wrong_rows, run_row
 
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise ValueError(
@@ -55,12 +56,12 @@ def study(s: StudySettings) -> None:
     plan, log = read_study(s.study), RunLog(Path.cwd())
     seeds = None if s.seeds is None else listed(s.seeds)
     refuse_unknown_seeds(plan.chosen(s.rows), seeds)  # a sweep's job runs one of these rows
+    rows = plan.chosen(s.rows if s.row is None else s.row)
+    options: dict[str, Any] = {"seeds": seeds, "rerun": s.rerun, "given": s.given}
+    if len(rows) > 1:  # better now than when its turn comes
+        refuse_wrong_rows(plan, rows, Path(s.output), **options)
     outcomes = [
-        outcome
-        for row in plan.chosen(s.rows if s.row is None else s.row)
-        for outcome in run_row(
-            plan, row, Path(s.output), seeds=seeds, rerun=s.rerun, given=s.given, say=log.say
-        )
+        outcome for row in rows for outcome in run_row(plan, row, Path(s.output), say=log.say, **options)
     ]
     log.table(f"study {plan.name}", ("run", "status"), [(one.run, one.status) for one in outcomes])
     failed = [f"{one.run} ({one.reason})" for one in outcomes if one.status == "failed"]

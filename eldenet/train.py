@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eldenet.cli.entry_point import entry_point, given_settings
 from eldenet.compose import REQUIRED, listed
@@ -25,6 +25,11 @@ from eldenet.system.resources import choose_resources, is_main_process, join_pro
 from eldenet.system.signals import as_ctrl_c
 from eldenet.system.terminal import print_note
 from eldenet.weights import find_checkpoint
+
+if TYPE_CHECKING:
+    from eldenet.evaluation.protocol import EvalProtocol
+    from eldenet.losses.base import WeightedSum
+    from eldenet.training.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,38 @@ def train(s: TrainSettings, overrides: Sequence[str] = ()) -> float:
         return _train(s, folder, settings, overrides)
 
 
+def checked_parts(
+    s: TrainSettings, weights: str | None = None
+) -> "tuple[EvalProtocol, WeightedSum, Trainer, dict[str, Any]]":
+    """Build what needs no frames, and the network once; return protocol, loss, trainer, network's settings.
+
+    Raises:
+        ValueError: a setting is wrong, or two do not fit each other; or ``weights`` do not fit the network.
+    """
+    from eldenet.evaluation.splits import chosen_protocol
+    from eldenet.training.initialization import canonical_camera, check_loss, check_range, initial_model
+
+    protocol = chosen_protocol(s.data, s.protocol)
+    loss = instantiate(s.loss, "loss")
+    trainer = instantiate(
+        s.trainer,
+        "trainer",
+        optimizer=instantiate(s.optimizer, "optimizer"),
+        scheduler=instantiate(s.scheduler, "scheduler"),
+        seed=s.seed,
+        loggers=listed(s.logger),
+    )
+    network = s.model | canonical_camera(s.canonical_focal, s.data["input_size"])
+    model = initial_model(network, s.seed, weights, _trusted(s))
+    check_loss(loss, model, s.teacher)
+    check_range(model, s.data)
+    return protocol, loss, trainer, network
+
+
+def _trusted(s: TrainSettings) -> list[str]:
+    return [*modules_named_in(s.model), *listed(s.trusted_modules)]
+
+
 def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], overrides: Sequence[str]) -> float:
     from eldenet.results.run_log import RunLog
     from eldenet.training.resume import checkpoint_to_resume, finished_value, run_folder
@@ -112,39 +149,20 @@ def _train(s: TrainSettings, folder: Path, settings: Mapping[str, Any], override
     checkpoint = checkpoint_to_resume(folder, s.ckpt_path, settings)
     if s.runtime.get("workers") != 0:
         start_server()  # its imports go on beside this process's own
-    from eldenet.evaluation.splits import chosen_protocol, open_splits
+    from eldenet.evaluation.splits import open_splits
     from eldenet.model import DepthNet
     from eldenet.results.fingerprints import fingerprints
     from eldenet.results.score import score
     from eldenet.results.tables import closing_table
     from eldenet.training import notes
-    from eldenet.training.initialization import (
-        canonical_camera,
-        check_loss,
-        check_range,
-        initial_model,
-        trained_sizes,
-    )
+    from eldenet.training.initialization import initial_model, trained_sizes
     from eldenet.training.normalization import normalization, write_normalization
     from eldenet.training.trainer import TrainingData
 
     resources = choose_resources(**s.runtime)
-    protocol = chosen_protocol(s.data, s.protocol)
-    loss = instantiate(s.loss, "loss")
-    trainer = instantiate(
-        s.trainer,
-        "trainer",
-        optimizer=instantiate(s.optimizer, "optimizer"),
-        scheduler=instantiate(s.scheduler, "scheduler"),
-        seed=s.seed,
-        loggers=loggers,
-    )
-    network = s.model | canonical_camera(s.canonical_focal, s.data["input_size"])
-    trusted = [*modules_named_in(s.model), *listed(s.trusted_modules)]
     # before the data, which may take minutes to render: a wrong setting shows at once
-    untrained = initial_model(network, s.seed, s.weights, trusted)
-    check_loss(loss, untrained, s.teacher)
-    check_range(untrained, s.data)
+    protocol, loss, trainer, network = checked_parts(s, s.weights)
+    trusted = _trusted(s)
 
     join_processes(resources, s.process_timeout)
     with main_process_first(resources):  # it renders or prepares what the others then find

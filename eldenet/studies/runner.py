@@ -21,7 +21,7 @@ from eldenet.studies.plan import (
     training_settings,
 )
 from eldenet.system.files import FolderInUse, sole_writer, write_text
-from eldenet.train import TrainSettings, train
+from eldenet.train import TrainSettings, checked_parts, train
 from eldenet.training.resume import check_finished
 
 FURTHER = 2  # candidates beyond the study's, at most, where the best one lies at the edge
@@ -60,18 +60,15 @@ def run_row(
         say: prints a line.
     """
     study = study.owner_of(row)
-    chosen = [seed for seed in row.seeds if seeds is None or seed in seeds]
-    shared, where = study.overrides_of(row), f"{study.name}/{row.name}"
-    for name, setting in row.given.items():
-        value = given.get(name)
-        if value is None:
-            if chosen:
-                plus = "" if name in given else "+"  # Hydra's sign for a new name
-                say(f"{where}: {row.not_given} ({plus}given.{name}=...)")
-            return [Outcome(f"{row.name}/seed{seed}", row.not_given) for seed in chosen]
-        shared.append(f"{setting}='{value}'")
+    chosen = _seeds_of(row, seeds)
+    where = f"{study.name}/{row.name}"
     if not chosen:
         return []
+    if missing := [name for name in row.given if given.get(name) is None]:
+        plus = "" if missing[0] in given else "+"  # Hydra's sign for a new name
+        say(f"{where}: {row.not_given} ({plus}given.{missing[0]}=...)")
+        return [Outcome(f"{row.name}/seed{seed}", row.not_given) for seed in chosen]
+    shared = _with_given(study, row, given)
     run = _RowRun(study, row, rerun, say, runs / study.name)
     try:
         with sole_writer(run.folder):
@@ -79,6 +76,51 @@ def run_row(
     except FolderInUse as error:
         say(f"{where}: {error}")
         return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in chosen]
+
+
+def refuse_wrong_rows(
+    study: Study,
+    rows: Sequence[StudyRow],
+    runs: Path,
+    *,
+    seeds: Sequence[int] | None = None,
+    rerun: bool = False,
+    given: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """Compose and check the settings of all runs to come, as :func:`run_row` would one after the other.
+
+    Raises:
+        ValueError: those of some rows are wrong; it names these rows.
+    """
+    wrong = []
+    for row in rows:
+        owner = study.owner_of(row)
+        missing = [seed for seed in _seeds_of(row, seeds) if rerun or owner.stored(row, seed) is None]
+        if not missing or any(given.get(name) is None for name in row.given):
+            continue
+        shared = _with_given(owner, row, given)
+        trial = [*shared, *owner.rate_overrides, *row.rate_overrides]
+        folder = runs / owner.name
+        for words in (shared, trial) if owner.searches_rate(row) else (shared,):
+            words = run_overrides(words, folder / row.name, folder, name=row.name, seed=missing[0])
+            try:
+                settings = compose(TrainSettings, words)
+                if not any("{runs}" in word for word in shared):  # it may need a run that is still to come
+                    checked_parts(settings)
+            except Exception as error:
+                wrong.append(f"row {row.name}: {' '.join(str(error).split())}")
+                break
+    if wrong:
+        raise ValueError(f"nothing was trained, since settings are wrong: {'; '.join(wrong)}")
+
+
+def _seeds_of(row: StudyRow, seeds: Sequence[int] | None) -> list[int]:
+    return [seed for seed in row.seeds if seeds is None or seed in seeds]
+
+
+def _with_given(study: Study, row: StudyRow, given: Mapping[str, Any]) -> list[str]:
+    """The row's overrides with what the command line gives."""
+    return study.overrides_of(row) + [f"{setting}='{given[name]}'" for name, setting in row.given.items()]
 
 
 @dataclass(frozen=True)

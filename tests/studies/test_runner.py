@@ -18,6 +18,7 @@ from eldenet.studies.matching import run_overrides
 from eldenet.studies.plan import read_study, training_settings
 from eldenet.studies.report import write_study_report
 from eldenet.study import StudySettings
+from eldenet.study import study as run_study
 from eldenet.system.files import sole_writer
 from eldenet.train import TrainSettings, train
 
@@ -63,6 +64,14 @@ def test_a_study_is_trained_once_and_reported(tiny, tmp_path):
     changed, said = run_all(tiny, tmp_path / "runs")
     assert changed["eldenet/seed0"] == "failed"
     assert any("trainer.epochs=2 (there 1)" in line for line in said)
+
+
+def test_a_wrong_setting_of_a_later_row_shows_before_the_first_row_trains(tiny, tmp_path):
+    add_to_plan(tiny, "  typed: {overrides: [model=eldenet_s, trainer.epohcs=2], learning_rate: 1.0e-3}\n")
+    words = [f"study={tiny}", f"output={tmp_path / 'runs'}"]
+    with pytest.raises(ValueError, match=r"row wrong: monitor='accuracy'.*; row typed: .*trainer\.epohcs"):
+        run_study(compose(StudySettings, words))
+    assert not (tmp_path / "runs").exists()
 
 
 def report_is_right(folder: Path) -> None:
