@@ -94,7 +94,7 @@ class Camera(SimulatedSensor):
         pitch: float = 0.0,
         artifacts: StereoArtifacts | None = None,
     ) -> None:
-        super().__init__(drift, latency)
+        super().__init__(drift=drift, latency=latency)
         if not 0 < light <= MAX_LIGHT:
             raise ValueError(
                 f"sensor.light={light}: give a factor above 0, up to {MAX_LIGHT:g}; 1 is a normal day"

@@ -8,6 +8,7 @@ one-step targets the driver hardly learned at five decisions per second.
 
 import copy
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -248,12 +249,11 @@ class DQN:
         """
         state = read_torch(path)
         with reading(path, "checkpoint of this training", "remove it and train again"):
-            steps = state.get("num_timesteps", state.get("done"))  # "done" in older checkpoints
             self.policy_dqn.load_state_dict(state["policy_dqn"])
             self.target_dqn.load_state_dict(state["target_dqn"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.replay.load_state_dict(state["replay"])
-            self.num_timesteps, self.updates = steps, state["updates"]
+            self.num_timesteps, self.updates = state["num_timesteps"], state["updates"]
 
 
 class ReplayBuffer:
@@ -305,7 +305,7 @@ class NStepWindows:
 
     def __init__(self, n: int, robots: int, gamma: float, replay: ReplayBuffer) -> None:
         self.n, self.gamma, self.replay = n, gamma, replay
-        self.steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # oldest first
+        self.steps: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=n)  # oldest first
         self.length = np.zeros(robots, np.intp)  # steps of the current episode in the window
 
     def push(
@@ -321,9 +321,7 @@ class NStepWindows:
 
         ``obs`` and ``next_obs`` are ``(N, inputs)``, the others ``(N,)``.
         """
-        self.steps = (
-            [*self.steps[-self.n + 1 :], (obs, action, reward)] if self.n > 1 else [(obs, action, reward)]
-        )
+        self.steps.append((obs, action, reward))
         self.length = np.minimum(self.length + 1, self.n)
         value = np.zeros(len(action))
         for back in range(1, len(self.steps) + 1):  # windows that start `back` steps ago

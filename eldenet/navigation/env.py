@@ -125,9 +125,9 @@ class ArenaNavVectorEnv(VectorEnv):
                 self._begin(slot)
             senses = self.episodes.sense(ended.tolist())
             observation[ended] = self.observer.observe(senses, ended)
-        scans = self.episodes.observations
-        if scans[0] is not None and scans[0].image is not None:
-            info["fed_by"] = np.array([scan.sectors_fed_by for scan in scans if scan is not None])
+        scans = [self.episodes.observations[slot] for slot in range(self.num_envs)]
+        if scans[0].image is not None:
+            info["fed_by"] = np.array([scan.sectors_fed_by for scan in scans])
         return observation, reward(progress, events), terminated, truncated, info
 
     def _begin(self, slot: int) -> None:
@@ -204,14 +204,13 @@ class ArenaNavEnv(gym.Env):
 
     @property
     def _fed_by(self) -> tuple[str, ...]:
-        scan = self.episodes.observations[0]
-        return () if scan is None else scan.sectors_fed_by
+        return self.episodes.observations[0].sectors_fed_by
 
     def render(self) -> np.ndarray | None:
         """Top view and camera view ``(H, W, 3)`` uint8 RGB; the trail starts at the first call."""
         from eldenet.navigation.visualization import Scene
 
-        if self.render_mode is None or self.episodes.worlds[0] is None:
+        if self.render_mode is None or not self.episodes.worlds:
             return None
         if self._scene is None:
             self._scene = Scene(self.episodes.worlds[0].arena)

@@ -128,7 +128,7 @@ class Episodes:
     """``count`` robots that drive at the same time.
 
     Attributes:
-        worlds: one per slot.
+        worlds: of each slot, once it has started.
         observations: last scan of each slot.
     """
 
@@ -143,15 +143,15 @@ class Episodes:
         self.randomization = randomization
         self._speeds = np.full(count, settings.robot_speed)
         self._latencies = np.full(count, sensor.latency)  # [s]
-        self.worlds: list[ArenaWorld | None] = [None] * count
-        self.observations: list[Observation | None] = [None] * count
-        self._sensors: list[SensorInstance | None] = [None] * count
-        self._odometry: list[Odometry | None] = [None] * count
+        self.worlds: dict[int, ArenaWorld] = {}
+        self.observations: dict[int, Observation] = {}
+        self._sensors: dict[int, SensorInstance] = {}
+        self._odometry: dict[int, Odometry] = {}
         self._filtered = settings.filters(sensor)
         self._filters = [RangeFilter() for _ in range(count)]
         self._scales = [RangeScale() for _ in range(count)]
-        self._localizers: list[Localizer | None] = [None] * count  # for goal="fixes" only
-        self._rngs: list[np.random.Generator | None] = [None] * count
+        self._localizers: dict[int, Localizer] = {}  # for goal="fixes" only
+        self._rngs: dict[int, np.random.Generator] = {}
         self.poses = np.zeros((count, 3))  # true ones
         self.travelled = np.zeros(count)  # [m]
         self._commands: list[list[tuple[float, float]]] = [[] for _ in range(count)]  # since the start
@@ -163,7 +163,7 @@ class Episodes:
         stream = np.random.SeedSequence(tuple(seed))
         fixes, robot = stream.spawn(2)
         size = self._randomize(slot, np.random.Generator(np.random.PCG64(robot)))
-        world = self.worlds[slot]
+        world = self.worlds.get(slot)
         if (
             world is not None
             and world.arena.name == arena.name
@@ -207,7 +207,7 @@ class Episodes:
 
     def goal(self, slot: int) -> tuple[float, float]:
         """Next way-point of a slot in the world frame [m]."""
-        return self._world(slot).arena.waypoints[self._waypoint[slot]]
+        return self.worlds[slot].arena.waypoints[self._waypoint[slot]]
 
     def goals(self) -> np.ndarray:
         """True distance [m] and bearing [rad] of each slot's next way-point ``(N, 2)``."""
@@ -223,8 +223,7 @@ class Episodes:
     def scan(self, slots: Sequence[int]) -> None:
         """Take a new scan in some slots."""
         for slot in slots:
-            scan = self._sensors[slot].scan()  # type: ignore[union-attr]
-            odometry = np.array(self._odometry[slot].pose)  # type: ignore[union-attr]
+            scan, odometry = self._sensors[slot].scan(), np.array(self._odometry[slot].pose)
             for used, part in (
                 (self._filtered, self._filters[slot]),
                 (self.settings.range_scale, self._scales[slot]),
@@ -236,14 +235,14 @@ class Episodes:
 
     def senses(self) -> Senses:
         """Ranges of the last scans, with odometry and goals as of now."""
-        scans = [observation for observation in self.observations if observation is not None]
+        slots = range(self.count)
+        scans = [self.observations[slot] for slot in slots]
         ranges = np.stack([scan.ranges for scan in scans])
         cautious = [scan.cautious for scan in scans if scan.cautious is not None]
-        odometry = np.array([odometry.pose for odometry in self._odometry if odometry is not None])
+        odometry = np.array([self._odometry[slot].pose for slot in slots])
         if self.settings.goal == "fixes":
-            localizers = [localizer for localizer in self._localizers if localizer is not None]
-            odometry = np.array([localizer.odometry for localizer in localizers])
-            goals = np.array([one.towards(*self.goal(slot)) for slot, one in enumerate(localizers)])
+            odometry = np.array([self._localizers[slot].odometry for slot in slots])
+            goals = np.array([self._localizers[slot].towards(*self.goal(slot)) for slot in slots])
         else:
             goals = self._goals_from(odometry if self.settings.goal == "odometry" else self.poses)
         return Senses(ranges, odometry, goals, np.stack(cautious) if cautious else None)
@@ -280,8 +279,7 @@ class Episodes:
 
     def _drive(self, slot: int) -> tuple[float, Event]:
         """Drive one robot for one period; progress is toward the way-point at its start."""
-        world = self._world(slot)
-        goal = self.goal(slot)
+        world, goal = self.worlds[slot], self.goal(slot)
         distance = before = math.dist(self.poses[slot, :2], goal)
         event = Event.NONE
         self._steps[slot] += 1
@@ -290,7 +288,7 @@ class Episodes:
             collided = world.advance(*self._command(slot, substep), ROBOT.period / SUBSTEPS)
             pose = world.pose
             self.travelled[slot] += math.dist(last[:2], pose[:2])
-            self._odometry[slot].move(last, pose)  # type: ignore[union-attr]
+            self._odometry[slot].move(last, pose)
             distance = math.dist(pose[:2], goal)
             if collided:
                 event = Event.COLLISION
@@ -301,22 +299,15 @@ class Episodes:
                     break
                 self._waypoint[slot] += 1  # the period continues toward the next one
         self.poses[slot] = world.pose
-        self._localize(slot)
+        if self.settings.goal == "fixes":
+            self._localize(slot)
         if event is Event.NONE and self._steps[slot] * ROBOT.period >= self.settings.time_limit - 1e-9:
             event = Event.TIMEOUT
         return before - distance, event
 
     def _localize(self, slot: int) -> None:
         """Pass the odometry to the localizer, and a position when one is due."""
-        localizer, rng = self._localizers[slot], self._rngs[slot]
-        if localizer is None or rng is None:
-            return
-        localizer.move(self._odometry[slot].pose)  # type: ignore[union-attr]
+        self._localizers[slot].move(self._odometry[slot].pose)
         if self._steps[slot] % FIX_EVERY == 0:
-            error = FIX_DEVIATION * rng.standard_normal(2)
-            localizer.fix(*(self.poses[slot, :2] + error).tolist())
-
-    def _world(self, slot: int) -> ArenaWorld:
-        world = self.worlds[slot]
-        assert world is not None, "call start first"
-        return world
+            error = FIX_DEVIATION * self._rngs[slot].standard_normal(2)
+            self._localizers[slot].fix(*(self.poses[slot, :2] + error).tolist())

@@ -59,7 +59,7 @@ class NoisyRanges(SimulatedSensor):
         drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
         latency: float = 0.0,
     ) -> None:
-        super().__init__(drift, latency)
+        super().__init__(drift=drift, latency=latency)
         if min(scale, smooth, column) < 0 or not 0 <= memory < 1 or not 0 <= share <= 1:
             raise ValueError(
                 f"scale={scale}, smooth={smooth}, column={column}, memory={memory}, share={share}: give "

@@ -108,7 +108,7 @@ class SimulatedSensor:
             multiple of the step in which commands take effect.
     """
 
-    def __init__(self, drift: Drift | Mapping[str, float], latency: float) -> None:
+    def __init__(self, *, drift: Drift | Mapping[str, float] = EXACT, latency: float = 0.0) -> None:
         self.drift, self.latency = drift if isinstance(drift, Drift) else Drift(**drift), latency
         for name, value in self.drift._asdict().items():
             if not 0 <= value < math.inf:
@@ -173,7 +173,7 @@ class Ranges(SimulatedSensor):
         drift: Drift | Mapping[str, float] = EXACT,
         latency: float = 0.0,
     ) -> None:
-        super().__init__(drift, latency)
+        super().__init__(drift=drift, latency=latency)
         for name, value, low, high in (
             ("false_near", false_near, 0, 1),
             ("false_far", false_far, 0, 1),
@@ -213,9 +213,6 @@ class Centers(SimulatedSensor):
 
     The arguments are those of :class:`SimulatedSensor`.
     """
-
-    def __init__(self, *, drift: Drift | Mapping[str, float] = EXACT, latency: float = 0.0) -> None:
-        super().__init__(drift, latency)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance, which uses no random numbers."""

@@ -94,7 +94,7 @@ class Scene:
         picture = self._standing.copy()
         world = episodes.worlds[slot]
         for obstacle in self.arena.pedestrians:
-            self._obstacle(picture, obstacle, 0.0 if world is None else world.time)
+            self._obstacle(picture, obstacle, world.time)
         for x, y in self.arena.waypoints:
             cv2.circle(picture, self.pixel(x, y), round(GOAL_RADIUS * self.scale), _GOAL, 2, cv2.LINE_AA)
         x, y, yaw = (float(value) for value in episodes.poses[slot])
@@ -104,20 +104,19 @@ class Scene:
         def seen(angle: float, distance: float) -> tuple[int, int]:
             return self.pixel(camera[0] + distance * math.cos(angle), camera[1] + distance * math.sin(angle))
 
-        if scan is not None:
-            step = ROBOT.field_of_view / SECTORS
-            for number, nearest in enumerate(scan.sectors):
-                first = yaw - ROBOT.field_of_view / 2 + number * step
-                edges = [seen(angle, nearest) for angle in np.linspace(first, first + step, 6)]
-                outline = [np.array([self.pixel(*camera), *edges])]
-                cv2.polylines(picture, outline, True, (170, 190, 215), 1, cv2.LINE_AA)
-            for angle, distance in zip(view_of(len(scan.ranges)).column_angles, scan.ranges, strict=True):
-                if distance < ROBOT.far:
-                    cv2.circle(picture, seen(yaw + angle, distance), 1, (200, 30, 30), -1)
+        step = ROBOT.field_of_view / SECTORS
+        for number, nearest in enumerate(scan.sectors):
+            first = yaw - ROBOT.field_of_view / 2 + number * step
+            edges = [seen(angle, nearest) for angle in np.linspace(first, first + step, 6)]
+            outline = [np.array([self.pixel(*camera), *edges])]
+            cv2.polylines(picture, outline, True, (170, 190, 215), 1, cv2.LINE_AA)
+        for angle, distance in zip(view_of(len(scan.ranges)).column_angles, scan.ranges, strict=True):
+            if distance < ROBOT.far:
+                cv2.circle(picture, seen(yaw + angle, distance), 1, (200, 30, 30), -1)
         for before, after in pairwise(self.trail):
             cv2.line(picture, self.pixel(*before[:2]), self.pixel(*after[:2]), _TRAIL, 2, cv2.LINE_AA)
-        size = 1.0 if world is None else world.size
-        self._box(picture, (x, y, yaw), (size * ROBOT.length / 2, size * ROBOT.width / 2), _ROBOT)
+        half = (world.size * ROBOT.length / 2, world.size * ROBOT.width / 2)
+        self._box(picture, (x, y, yaw), half, _ROBOT)
         cv2.line(picture, self.pixel(x, y), self.pixel(*camera), (0, 0, 0), 2)
         return picture
 
@@ -140,7 +139,7 @@ class Scene:
     def draw(self, episodes: Episodes, slot: int, note: str = "", view: Any = None) -> np.ndarray:
         """Camera, depth and sectors beside the top view, under a line of text.
 
-        ``(size + 20, size + 2 / 5 * size * 4 / 3, 3)`` uint8 RGB; before the first scan the top view only.
+        ``(size + 20, size + 2 / 5 * size * 4 / 3, 3)`` uint8 RGB.
 
         ``view`` is an :class:`~eldenet.simulation.arena_view.ArenaView` for sensors without images; without
         one, their panels stay empty.
@@ -149,11 +148,8 @@ class Scene:
         self._scale_bar(top)
         _label(top, "map")
         scan = episodes.observations[slot]
-        if scan is None:
-            return _titled(top, note)
         if scan.image is None and view is not None:
-            world = episodes.worlds[slot]
-            photo = view.photo(tuple(episodes.poses[slot]), 0.0 if world is None else world.time)
+            photo = view.photo(tuple(episodes.poses[slot]), episodes.worlds[slot].time)
             scan = scan._replace(image=photo.image, depth=photo.depth)
         return _titled(np.concatenate([camera_panels(scan, self.size), top], axis=1), note)
 

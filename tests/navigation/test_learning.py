@@ -83,10 +83,6 @@ def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         first.learn(at_checkpoint=stop)
-    state = torch.load(tmp_path / CHECKPOINT, weights_only=True)
-    torch.save(state | {"done": state.pop("num_timesteps")}, tmp_path / "old.pt")  # of earlier versions
-    second.restore(tmp_path / "old.pt")
-    assert second.num_timesteps == 800
     second.restore(tmp_path / CHECKPOINT)
     assert second.num_timesteps == 800
     second.learn()
