@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.backbones.base import Backbone
+from eldenet.backbones.pplcnet import scale_channels
 from eldenet.backbones.weights import (
     IMAGENET_MEAN,
     IMAGENET_STD,
@@ -81,7 +82,7 @@ class EfficientNetLite(Backbone):
         self.stem = ConvNormAct(3, channels, 3, stride=2, activation=nn.ReLU6)
         stages = []
         for number, (count, kernel, stride, expansion, base) in enumerate(_STAGES):
-            outputs = _round(base * width)
+            outputs = scale_channels(base, width)
             if 0 < number < len(_STAGES) - 1:  # the Lite form keeps the first and the last stage
                 count = math.ceil(count * depth)
             stage = nn.Sequential()
@@ -111,7 +112,7 @@ class EfficientNetLite(Backbone):
         last = {stride: number for number, stride in enumerate(_STRIDES[: len(self.stages)])}
         self._features = tuple(last.values())
         self.feature_info = tuple(
-            FeatureInfo(_round(_STAGES[number][-1] * width), stride) for stride, number in last.items()
+            FeatureInfo(scale_channels(_STAGES[number][-1], width), stride) for stride, number in last.items()
         )
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
@@ -136,12 +137,6 @@ class EfficientNetLite(Backbone):
         offset = (kernel * ((mean - 0.5) / 0.5)[:, None, None]).sum((1, 2, 3))
         weights["stem.norm.running_mean"] = weights["stem.norm.running_mean"] - offset
         return weights
-
-
-def _round(channels: float) -> int:
-    """Round to a multiple of 8, down by a tenth at most."""
-    nearest = max(8, int(channels + 4) // 8 * 8)
-    return nearest + 8 if nearest < 0.9 * channels else nearest
 
 
 def _packaged(variant: int) -> Path:
