@@ -146,6 +146,17 @@ def test_bf16_is_a_way_to_run_fp32_weights(model_folder: Path, photos: Path, tmp
     assert runtimes.load(path, precision="fp32", threads=1).precision == "fp32"
 
 
+@pytest.mark.parametrize("name", ["m.onnx", "m.xml"])
+def test_a_file_that_differs_from_torch_is_removed(
+    model_folder: Path, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr("eldenet.export.FP32_TOLERANCE", 0.0)
+    form = "openvino" if name.endswith("xml") else "onnx"
+    with pytest.raises(ValueError, match="differs from torch, so it was removed"):
+        run(model_folder, photos, f"format={form}", f"output='{tmp_path / name}'", "opset=17")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(("factor", "warned"), [(1.05, True), (1.01, False)])
 def test_a_costly_int8_file_is_warned_of(
     factor: float, warned: bool, model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
