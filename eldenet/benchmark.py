@@ -78,6 +78,9 @@ class BenchmarkSettings:
     output: str = "runs/benchmark"
 
     def __post_init__(self) -> None:
+        for name in ("sizes", "batches", "runtimes", "precisions", "threads"):
+            if not listed(getattr(self, name)):
+                raise ValueError(f"{name}={getattr(self, name)}: give at least one")
         for runtime in listed(self.runtimes):
             one_of("runtimes", runtime, RUNTIMES)
         for precision in listed(self.precisions):
@@ -125,7 +128,8 @@ def benchmark(s: BenchmarkSettings) -> list[dict[str, Any]]:
     """Measure the missing rows, write each group when it is done, then write the tables of all rows.
 
     Raises:
-        ValueError: two models share a name, the reference is none of them, or the accuracies do not compare.
+        ValueError: two models share a name, the reference is none of them, the accuracies do not compare, or
+            every row failed.
     """
     found = load_models(s) if s.study is None else study_models(s)
     log = RunLog(s.folder)
@@ -178,6 +182,8 @@ def benchmark(s: BenchmarkSettings) -> list[dict[str, Any]]:
     write_results(rows, accuracies, s.folder, log)
     if found.finish is not None:
         log.say(f"the study's latencies: {found.finish(rows)}")
+    if all(row["failed"] for row in rows):
+        raise ValueError(f"no row was measured; the first: {rows[0]['failed']}")
     return rows
 
 

@@ -180,6 +180,12 @@ def test_rows_of_another_machine_are_measured_again(
     assert run(tmp_path, *ours) == [row]  # what was measured here counts
 
 
+def test_a_benchmark_whose_rows_all_fail_fails(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"no row was measured; the first: .* does not support bf16"):
+        run(tmp_path, "runtimes=[onnxruntime]", "precisions=[bf16]")
+    assert "not measured" in (tmp_path / "results.md").read_text()
+
+
 def stored(folder: Path, name: str, **changes: Any) -> Path:
     """A run's record, as far as it is read."""
     run = {"model": "eldenet_s", "seed": 0, "data": "rooms", "split": "test", "split_hash": "abc"}
@@ -235,6 +241,7 @@ def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> N
         (["accuracy=delta"], "accuracy='delta'"),
         (["reference=eldenet_x"], "reference=eldenet_x is not among the models: choose one of eldenet_s"),
         (["rounds=0"], "rounds=0"),
+        (["sizes=[]"], "sizes=.*: give at least one"),
     ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, overrides: list[str], message: str) -> None:
