@@ -3,9 +3,9 @@
 A few hundred depth frames from any sensor:
 python -m eldenet.adapt data.root=my_frames 'intrinsics=[525,525,319.5,239.5]'
 Or a drive with wheel odometry (seconds,x,y,heading):
-python -m eldenet.adapt source=walk.mp4 poses=odo.csv camera_height=0.4 'intrinsics=[525,525,319.5,239.5]'
-Or a bag of ROS with such a drive, whose topics have pictures, CameraInfo and Odometry:
-python -m eldenet.adapt source=walk.mcap camera_height=0.4
+python -m eldenet.adapt source=walk.mp4 poses=odometry.csv
+Or a bag of ROS with such a drive, whose topics have pictures and Odometry:
+python -m eldenet.adapt source=walk.mcap
 Or the camera's height above the floor, which must be in view:
 python -m eldenet.adapt source=walk.mp4 camera_height=0.8 'intrinsics=[525,525,319.5,239.5]'
 """
@@ -51,7 +51,8 @@ class AdaptSettings:
     # null: with poses, found by the drive
     intrinsics: Any = None
     minutes: float = 10  # about how long the command may take
-    # of the optical center above the floor [m]; without poses it only fits the scale
+    # of the optical center above the floor [m]; without poses it only fits the scale; null: with poses of a
+    # robot, found by the drive
     camera_height: float | None = None
     # of a camera at a fixed tilt: degrees below the horizon; null: fitted in each frame, or by the drive
     camera_pitch: float | None = None
@@ -141,11 +142,8 @@ def _label(s: AdaptSettings) -> AdaptSettings:
         table, intrinsics = Path(s.poses or "").expanduser(), source.intrinsics if source.knows_lens else None
         if not table.is_file():
             table = source.write_odometry(s.poses, Path(s.output) / "odometry.csv")
-    mount = None
-    if s.camera_height is not None:
-        ahead = USUAL_AHEAD if s.camera_ahead is None else s.camera_ahead
-        mount = Mount(s.camera_height, math.radians(s.camera_pitch or 0.0), ahead)
-    poses = read_poses(table, mount)
+    ahead = USUAL_AHEAD if s.camera_ahead is None else s.camera_ahead
+    poses = read_poses(table, Mount(s.camera_height, math.radians(s.camera_pitch or 0.0), ahead))
     from eldenet.perception.drive_camera import settle_camera
     from eldenet.perception.drive_labels import label_drive
     from eldenet.results.run_log import RunLog

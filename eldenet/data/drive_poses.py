@@ -30,7 +30,7 @@ _BASE_FROM_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]
 class Mount(NamedTuple):
     """How a camera is mounted on a robot."""
 
-    height: float  # of the optical center above the floor [m]
+    height: float | None = None  # of the optical center above the floor [m]; None: not known
     pitch: float = 0.0  # of the optical axis below the horizon [rad]
     ahead: float = 0.0  # of the optical center before the point whose pose odometry gives [m]
 
@@ -43,7 +43,7 @@ class DrivePoses:
     cameras: np.ndarray  # (N, 4, 4) camera to world [m]
     seconds: np.ndarray | None  # (N,) when [s], or None
     names: tuple[str, ...] | None  # of the pictures, or None
-    mount: Mount | None  # of a camera on a robot, whose world has its floor at z = 0; None: the world is any
+    mount: Mount | None  # on a robot; z is 0 at the floor, or the camera; None: the world is any
 
     def of_pictures(self, paths: Sequence[Path]) -> list[np.ndarray | None]:
         """Return the pose ``(4, 4)`` of each picture, by name if the file has names, else by order.
@@ -88,14 +88,14 @@ class DrivePoses:
         return np.asarray(pose)
 
 
-def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
+def read_poses(path: Path, mount: Mount = Mount()) -> DrivePoses:  # noqa: B008 - immutable
     """Read a CSV file of poses, or camera poses in TUM's format, as SLAM writes them.
 
     Convention: x ahead, y left, heading counter-clockwise (REP 103); cameras x right, y down, z forward.
 
     Args:
         path: of the file: rows in the order of time.
-        mount: of the camera; poses of a robot's base need it.
+        mount: of the camera, for poses of a robot's base.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -111,10 +111,6 @@ def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
     of_base = all(name in columns for name in BASE)
     if not of_base and not all(name in columns for name in MATRIX):
         raise ValueError(f"{path} has the columns {header[:200]!r}: give {ALLOWED}")
-    if of_base and mount is None:
-        raise ValueError(
-            f"{path} has poses of a robot's base: give camera_height= [m] and camera_pitch= [degrees]"
-        )
     if not of_base:
         _refuse_mount(path, mount)
     label = next((name for name in NAMES if name in columns), None)
@@ -130,7 +126,7 @@ def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
         _check_order(path, seconds)
     if of_base:
         _check_way(path, values[:, :2], values[:, 2], seconds)
-        cameras = np.stack([_on_robot(pose, mount or Mount(0.0)) for pose in values[:, :3]])
+        cameras = np.stack([_on_robot(pose, mount) for pose in values[:, :3]])
     else:
         cameras = np.tile(np.eye(4), (len(values), 1, 1))
         cameras[:, :3] = values[:, :12].reshape(-1, 3, 4)
@@ -143,7 +139,7 @@ def read_poses(path: Path, mount: Mount | None) -> DrivePoses:
     return DrivePoses(path, cameras, seconds, names, mount if of_base else None)
 
 
-def _tum_poses(path: Path, lines: list[list[str]], mount: Mount | None) -> DrivePoses:
+def _tum_poses(path: Path, lines: list[list[str]], mount: Mount) -> DrivePoses:
     """Camera to world from lines of a time, a place and a quaternion (x, y, z, w)."""
     from scipy.spatial.transform import Rotation
 
@@ -160,8 +156,8 @@ def _tum_poses(path: Path, lines: list[list[str]], mount: Mount | None) -> Drive
     return DrivePoses(path, cameras, values[:, 0], None, None)
 
 
-def _refuse_mount(path: Path, mount: Mount | None) -> None:
-    if mount is not None:
+def _refuse_mount(path: Path, mount: Mount) -> None:
+    if mount.height is not None or mount.pitch:
         raise ValueError(f"{path} has poses of the camera itself: leave out camera_height and camera_pitch")
 
 
@@ -187,7 +183,7 @@ def _on_robot(pose: np.ndarray, mount: Mount) -> np.ndarray:
     camera = np.eye(4)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     camera[:3, :3] = turn @ _BASE_FROM_LEVEL @ level_rotation(mount.pitch)
-    camera[:3, 3] = x + mount.ahead * c, y + mount.ahead * s, mount.height
+    camera[:3, 3] = x + mount.ahead * c, y + mount.ahead * s, mount.height or 0.0
     return camera
 
 

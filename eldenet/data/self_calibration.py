@@ -27,6 +27,12 @@ PARTS = 5  # of the drive; fits without one of them tell how sure the fit is (ja
 SURE = (0.03, 0.02, 0.02, 0.03)
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)  # factors of the focal length
 LIMITS = (math.log(3), 0.6, 0.6, 1.0)  # of the search; a heading of the wrong sign meets them
+#: Of a corner that may be on the floor: least height below the camera per depth, sigma of it as a share.
+LEAST_DOWN, MOST_SIGMA = 0.02, 0.3
+HEIGHTS = np.arange(math.log(0.03), math.log(6.0), 0.01)  # of the search for the floor: ln of meters
+SMOOTH, LEAST_PEAK = 0.04, 0.4  # of their histogram: ln of a height; share of its peak that a floor needs
+SHARP, ABOVE = 2.0, 0.15  # a floor has more than so many times the corners of what is so much higher (ln)
+SAME_FLOOR, LEAST_AGREE = 0.05, 4  # ln by which the floor of a part may differ, and parts that must agree
 
 
 class Pair(NamedTuple):
@@ -98,6 +104,54 @@ def fit_camera(pairs: Sequence[Pair], intrinsics: np.ndarray, forward: np.ndarra
             break
     found[0] = math.exp(found[0])
     return CameraFit(**{name: float(found[k]) for name, k in unknown.items() if k in free and sure[k]})
+
+
+def floor_below(pairs: Sequence[Pair], intrinsics: np.ndarray, pitch: float) -> float | None:
+    """Return how far the floor lies below the camera [m]; None if the drive does not tell.
+
+    Corners on it share one height, which is the lowest that many of them have.
+
+    Args:
+        pairs: of a drive.
+        intrinsics: ``(3, 3)`` [px].
+        pitch: of the camera below the horizon [rad].
+    """
+    heights = [_heights_below(pair, intrinsics, level_rotation(pitch)[1]) for pair in pairs]
+    ends = np.linspace(0, len(heights), PARTS + 1).astype(int).tolist()
+    parts = [np.concatenate([np.empty((0, 2)), *heights[i:j]]) for i, j in pairwise(ends)]
+    floor = _lowest_peak(np.concatenate(parts))
+    agree = sum(abs(_lowest_peak(part) - floor) < SAME_FLOOR for part in parts)
+    return math.exp(floor) if agree >= LEAST_AGREE else None
+
+
+def _heights_below(pair: Pair, intrinsics: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Ln of how far corners lie below the camera [m], and its sigma ``(M, 2)``, where motion tells depth."""
+    inverse = np.linalg.inv(intrinsics)
+    here, there = homogeneous(pair.here) @ inverse.T, (homogeneous(pair.there) @ inverse.T)[:, :2]
+    turned, way = here @ pair.motion[:3, :3].T, pair.motion[:3, 3]
+    moves = way[:2] - there * way[2]  # in the picture, times inverse depth
+    moved = there * turned[:, 2:] - turned[:, :2]
+    squared = np.maximum((moves**2).sum(1), 1e-12)
+    depth = squared / np.maximum((moves * moved).sum(1), 1e-12)
+    misses = np.linalg.norm(moves / depth[:, None] - moved, axis=1) * intrinsics[0, 0]
+    sigma = math.sqrt(2) * TRACK_ERROR / intrinsics[0, 0] * depth / np.sqrt(squared)  # share
+    below = here @ down
+    sure = (misses < ON_LINE) & (sigma < MOST_SIGMA) & (below > LEAST_DOWN)
+    return np.column_stack([np.log(below[sure] * depth[sure]), sigma[sure]])
+
+
+def _lowest_peak(heights: np.ndarray) -> float:
+    """Ln of the lowest of ``heights (N, 2)`` that many have in common; NaN if none stands out."""
+    from scipy.ndimage import gaussian_filter1d
+
+    step = HEIGHTS[1] - HEIGHTS[0]
+    edges = np.append(HEIGHTS, HEIGHTS[-1] + step) - step / 2
+    counts = np.histogram(heights[:, 0], edges, weights=heights[:, 1] ** -2.0)[0]
+    density = gaussian_filter1d(counts, SMOOTH / step, mode="constant")
+    peaks = np.flatnonzero((density[1:-1] >= density[:-2]) & (density[1:-1] > density[2:])) + 1
+    above = density[np.maximum(peaks - round(ABOVE / step), 0)]
+    sharp = peaks[(density[peaks] > LEAST_PEAK * density.max()) & (density[peaks] > SHARP * above)]
+    return float(HEIGHTS[sharp[-1]]) if len(sharp) else math.nan
 
 
 class _Drive(NamedTuple):

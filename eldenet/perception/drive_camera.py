@@ -8,14 +8,15 @@ import numpy as np
 from eldenet.data.bags import Bag
 from eldenet.data.depth_from_motion import MotionDepth
 from eldenet.data.drive_poses import DrivePoses
-from eldenet.data.self_calibration import CameraFit, find_pairs, fit_camera
+from eldenet.data.self_calibration import CameraFit, find_pairs, fit_camera, floor_below
 from eldenet.deploy.prediction import Source
 from eldenet.geometry import check_intrinsics, intrinsic_matrix, level_rotation, pinhole
 from eldenet.perception.drive_labels import place_frames
 from eldenet.results.run_log import RunLog
 
-#: What is refused: a factor of the focal length (or one over it), an angle [degrees], a place [m].
-WRONG_FOCAL, WRONG_ANGLE, WRONG_AHEAD = 1.08, 3.0, 0.1
+#: What is refused: factors of the focal length and the height (or one over them), an angle [degrees], a
+#: place [m].
+WRONG_FOCAL, WRONG_HEIGHT, WRONG_ANGLE, WRONG_AHEAD = 1.08, 1.1, 3.0, 0.1
 TELLS = "drive on in curves, among things with texture"
 
 
@@ -32,7 +33,7 @@ def settle_camera(
 
     Args:
         source: pictures in the order of time, a video, or a bag of ROS.
-        poses: of the camera during the drive.
+        poses: of the camera during the drive; without the height of a mounted one, it is found.
         intrinsics: of the source's pictures [px]; None: found, with the principal point in the middle.
         pitch: that was given for a mounted camera [degrees]; None: found.
         ahead: that was given [m]; None: found if the drive tells, else that of ``poses``.
@@ -53,8 +54,8 @@ def settle_camera(
     pairs = find_pairs(depth.view(*frame) for frame in frames)
     forward = None if poses.mount is None else level_rotation(poses.mount.pitch).T[:, 2]
     fit = fit_camera(pairs, depth.seen_intrinsics, forward)
-    poses = _mounted(poses, fit, pitch, ahead, log)
     found = told * np.array([[fit.focal or 1.0, 1, 1], [1, fit.focal or 1.0, 1], [1, 1, 1]])
+    mounted = _mounted(poses, fit, pitch, ahead, log)
     if intrinsics is not None:
         if fit.focal is not None and not 1 / WRONG_FOCAL < fit.focal < WRONG_FOCAL:
             raise ValueError(
@@ -62,11 +63,40 @@ def settle_camera(
                 f"move as with fx={found[0, 0]:.0f}: give intrinsics={_said(found)}, or null, or mend the "
                 "heading"
             )
-        return told, poses
-    if fit.focal is None:
+        found = told
+    elif fit.focal is None:
         raise ValueError(f"the drive does not tell the lens: give intrinsics=[fx,fy,cx,cy] [px], or {TELLS}")
-    log.say(f"by the drive, intrinsics={_said(found)}: give them to other commands, too")
-    return found, poses
+    else:
+        log.say(f"by the drive, intrinsics={_said(found)}: give them to other commands, too")
+    if mounted.mount is None:
+        return found, mounted
+    moved = np.linalg.inv(poses.cameras[0]) @ mounted.cameras[0]
+    motions = [pair._replace(motion=np.linalg.inv(moved) @ pair.motion @ moved) for pair in pairs]
+    seen = MotionDepth(found, size).seen_intrinsics
+    return found, _above_floor(mounted, floor_below(motions, seen, mounted.mount.pitch), log)
+
+
+def _above_floor(poses: DrivePoses, floor: float | None, log: RunLog) -> DrivePoses:
+    """Poses of the camera at its height, where that was not given; ``floor`` [m] is how far below it lies."""
+    mount = poses.mount
+    if mount is None or (floor is None and mount.height is not None):
+        return poses
+    if floor is None:
+        raise ValueError(
+            "the drive does not tell how high the camera is: give camera_height= [m], or drive on where the "
+            "floor is in view and has texture"
+        )
+    if mount.height is None:
+        log.say(f"by the drive, camera_height={floor:.3f}")
+        cameras = poses.cameras.copy()
+        cameras[:, 2, 3] += floor
+        return replace(poses, cameras=cameras, mount=mount._replace(height=floor))
+    if not 1 / WRONG_HEIGHT < floor / mount.height < WRONG_HEIGHT:
+        raise ValueError(
+            f"camera_height={mount.height:.3g}, but along the poses the floor lies {floor:.2f} m below the "
+            "camera: give that, or null, or mend the meters of the poses"
+        )
+    return poses
 
 
 def _mounted(

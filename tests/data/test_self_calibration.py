@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from eldenet.data.self_calibration import Pair, fit_camera, from_told
-from eldenet.geometry import pinhole
+from eldenet.data.self_calibration import Pair, fit_camera, floor_below, from_told
+from eldenet.geometry import level_rotation, pinhole
 
 TRUE = pinhole(230.0, 230.0, 159.5, 119.5)
 FORWARD = np.array([0.0, 0.0, 1.0])
@@ -81,3 +81,30 @@ def test_a_heading_of_the_wrong_sign_tells_nothing():
         other[:3, :3], other[:3, 3] = pair.motion[:3, :3].T, pair.motion[:3, 3]
         turned.append(pair._replace(motion=other.copy()))
     assert fit_camera(turned, TRUE, FORWARD) == (None, None, None, None)
+
+
+def on_a_floor(height: float, pitch: float, *, clutter: int = 60, floor: int = 60) -> list[Pair]:
+    """Corners on a floor so far below a camera that drives straight on, and anywhere above it."""
+    rng = np.random.default_rng(1)
+    level = level_rotation(pitch)
+    found = []
+    for _ in range(40):
+        below = np.concatenate([np.full(floor, height), height * rng.uniform(0.05, 0.95, clutter)])
+        ahead = rng.uniform(0.7, 2.5, len(below))
+        points = np.column_stack([ahead * rng.uniform(-0.6, 0.6, len(below)), below, ahead])  # level
+        motion = np.eye(4)
+        motion[:3, 3] = level.T @ (0.0, 0.0, -0.1)
+        seen = points @ level
+        here, there = ((at @ TRUE.T)[:, :2] / at[:, 2:] for at in (seen, seen + motion[:3, 3]))
+        found.append(Pair(here, there + rng.normal(0, 0.3, there.shape), motion))
+    return found
+
+
+@pytest.mark.parametrize(("height", "pitch"), [(0.15, 0.0), (0.4, 0.2), (1.2, 0.35)])
+def test_corners_on_the_floor_tell_how_far_below_the_camera_it_lies(height, pitch):
+    assert floor_below(on_a_floor(height, pitch), TRUE, pitch) == pytest.approx(height, rel=0.03)
+
+
+def test_no_floor_in_view_tells_no_height():
+    assert floor_below(on_a_floor(0.4, 0.0, clutter=20, floor=0), TRUE, 0.0) is None
+    assert floor_below([], TRUE, 0.0) is None

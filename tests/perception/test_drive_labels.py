@@ -78,7 +78,7 @@ def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path
     cameras = drive(tmp_path, seconds=10.0)
     with (tmp_path / "odometry.csv").open("a") as file:  # which goes on after the video
         file.writelines(f"\n{t / 4},{t},0,0" for t in range(41, 80))
-    kept = adapt(setup(tmp_path, "frames=45", "intrinsics=null", "camera_pitch=null"))
+    kept = adapt(setup(tmp_path, "frames=45", "intrinsics=null", "camera_height=null", "camera_pitch=null"))
     record = json.loads((tmp_path / "run/run.json").read_text())
     assert record["kept"] is kept
     assert "held_out" in record
@@ -87,6 +87,7 @@ def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path
     assert lens == pytest.approx(LENS, rel=0.03)
     assert f"by the drive, intrinsics=[{lens[0]:.1f},{lens[1]:.1f},63.5,47.5]" in said
     assert re.search(r"by the drive, camera_pitch=(8.[1-9]|9.[01])", said)
+    assert re.search(r"by the drive, camera_height=0.(39|40|41)", said)
     assert "corners of known depth" in said
     maps = sorted((tmp_path / "run/labels/depths").iterdir())
     assert len(maps) >= 35
@@ -163,6 +164,7 @@ def test_a_bag_whose_odometry_has_another_clock_is_refused(tmp_path):
             r"fx=130, but .* 128 x 96, move as with fx=(9|10)\d: give",
         ),
         (["camera_pitch=0"], 0.0, r"camera_pitch=0, but .* a camera [89].\d degrees below the horizon: give"),
+        (["camera_height=0.5"], 0.0, r"camera_height=0.5, but .* the floor lies 0.(39|40|41) m below the"),
         ([], 0.15, r"the camera looks [78].\d degrees to the right of the way: mount it straight ahead"),
     ],
 )
