@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
 from pathlib import Path
-from typing import Any, Self, TypedDict, Unpack
+from typing import Any, Self, TypedDict, Unpack, cast
 
 import numpy as np
 import torch
@@ -337,33 +337,43 @@ def resize_frame(
     return Frame(image, depth, intrinsics, name, labels)
 
 
-def cut_to_aspect(frame: Frame, aspect: float, generator: np.random.Generator) -> Frame:
-    """Cut the largest part of width / height ``aspect`` out of a frame, anywhere in it."""
+def cut_frame(frame: Frame, top: int, bottom: int, left: int, right: int) -> Frame:
+    """Cut a box [px] out of a frame, ends excluded; the intrinsics move with it."""
     image, depth, intrinsics, name, labels = frame
-    height, width = depth.shape
-    rows, cols = min(height, round(width / aspect)), min(width, round(height * aspect))
-    top, left = (int(generator.integers(side + 1)) for side in (height - rows, width - cols))
-    window = slice(top, top + rows), slice(left, left + cols)
+    window = slice(top, bottom), slice(left, right)
     if intrinsics is not None:
         intrinsics = crop_intrinsics(intrinsics, top, left)
     return Frame(image[window], depth[window], intrinsics, name, None if labels is None else labels[window])
 
 
-def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
-    """Turn a frame into tensors; depth outside the range becomes unknown."""
-    known = np.isfinite(frame.depth) & (frame.depth >= min_depth) & (frame.depth <= max_depth)
-    depth = np.where(known, frame.depth, 0.0).astype(np.float32)
+def cut_to_aspect(frame: Frame, aspect: float, generator: np.random.Generator) -> Frame:
+    """Cut the largest part of width / height ``aspect`` out of a frame, anywhere in it."""
+    height, width = frame.depth.shape
+    rows, cols = min(height, round(width / aspect)), min(width, round(height * aspect))
+    top, left = (int(generator.integers(side + 1)) for side in (height - rows, width - cols))
+    return cut_frame(frame, top, top + rows, left, left + cols)
+
+
+def frame_tensors(frame: Frame) -> dict[str, Any]:
+    """Return a frame as tensors: image ``(3, H, W)`` uint8, depth and labels ``(1, H, W)``, intrinsics."""
     intrinsics = np.zeros((3, 3)) if frame.intrinsics is None else frame.intrinsics
-    sample: DepthSample = {
-        "image": torch.from_numpy(np.ascontiguousarray(frame.image.transpose(2, 0, 1))).float().div_(255.0),
-        "depth": torch.from_numpy(depth)[None],
-        "mask": torch.from_numpy(known)[None],
+    tensors: dict[str, Any] = {
+        "image": torch.from_numpy(np.ascontiguousarray(frame.image.transpose(2, 0, 1))),
+        "depth": torch.from_numpy(np.ascontiguousarray(frame.depth))[None],
         "intrinsics": torch.from_numpy(np.array(intrinsics, dtype=np.float32)),
         "name": frame.name,
     }
     if frame.labels is not None:
-        sample["labels"] = torch.from_numpy(np.ascontiguousarray(frame.labels))[None]
-    return sample
+        tensors["labels"] = torch.from_numpy(np.ascontiguousarray(frame.labels))[None]
+    return tensors
+
+
+def to_sample(frame: Frame, min_depth: float, max_depth: float) -> DepthSample:
+    """Turn a frame into a sample; depth outside the range becomes unknown."""
+    known = np.isfinite(frame.depth) & (frame.depth >= min_depth) & (frame.depth <= max_depth)
+    sample = frame_tensors(frame._replace(depth=np.where(known, frame.depth, 0.0).astype(np.float32)))
+    sample |= {"image": sample["image"].float().div_(255.0), "mask": torch.from_numpy(known)[None]}
+    return cast(DepthSample, sample)
 
 
 class Compose:

@@ -128,12 +128,7 @@ class Cityscapes(FileDataset):
 
 
 def read_camera(path: Path) -> tuple[np.ndarray, float]:
-    """Return intrinsics ``(3, 3)`` [px at 2048 x 1024] and baseline [m] of a ``*_camera.json``.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is truncated, or a number is missing or impossible.
-    """
+    """Return intrinsics ``(3, 3)`` [px at 2048 x 1024] and baseline [m] of a ``*_camera.json``."""
     text = read_text(path, "fetch camera_trainvaltest.zip")
     with reading(path, "Cityscapes camera"):
         content = parse_json(text, path)

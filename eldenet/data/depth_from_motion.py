@@ -9,10 +9,12 @@ depth is known to 10 %.
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.linalg import block_diag
 
 from eldenet.geometry import resize_image, resize_intrinsics
 
@@ -168,7 +170,6 @@ def track(
     The other view is warped as if all were at the depth at which :func:`sweep` puts a corner, so that what
     is close looks the same from all distances.
     """
-    options: dict[str, Any] = {"winSize": (15, 15), "maxLevel": 0, "criteria": (3, 20, 0.03)}
     inverse = sweep(view, others, corners, intrinsics)
     size, rest = view.gray.shape[::-1], np.linalg.inv(intrinsics)
     found = []
@@ -177,19 +178,33 @@ def track(
         points = np.full((len(corners), 2), np.nan)
         for one in np.unique(inverse):
             here = np.flatnonzero(inverse == one)
-            given = np.ascontiguousarray(corners[here, None], np.float32)
             plane = intrinsics @ _of_plane(motion, one) @ rest
             warped = cv2.warpPerspective(other.gray, plane, size, flags=_TO_VIEW)
-            there, ok, _ = cv2.calcOpticalFlowPyrLK(view.gray, warped, given, given.copy(), **options)
-            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(warped, view.gray, there, there.copy(), **options)
-            moved = homogeneous(there[:, 0]) @ plane.T
+            there, good = there_and_back(
+                view.gray, warped, corners[here], THERE_AND_BACK, maxLevel=0, criteria=(3, 20, 0.03)
+            )
+            moved = homogeneous(there) @ plane.T
             at = moved[:, :2] / np.maximum(moved[:, 2:], 0.05)
-            inside = (at > 1).all(1) & (at < np.subtract(size, 2)).all(1)
-            misses = np.linalg.norm((back - given)[:, 0], axis=1)
-            good = (np.hstack([ok, ok_back]) > 0).all(1) & (misses < THERE_AND_BACK) & inside
+            good &= (at > 1).all(1) & (at < np.subtract(size, 2)).all(1)
             points[here[good]] = at[good]
         found.append(points)
     return found
+
+
+def there_and_back(
+    one: np.ndarray, other: np.ndarray, corners: np.ndarray, most: float, **options: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Track corners ``(N, 2)`` [px] from a gray picture to another and back, with OpenCV's ``options``.
+
+    Returns:
+        Where they lie there ``(N, 2)``, and which come back to within ``most`` [px] ``(N,)``.
+    """
+    track: Any = partial(cv2.calcOpticalFlowPyrLK, winSize=(15, 15), **options)
+    given = np.ascontiguousarray(corners[:, None], np.float32)
+    there, ok, _ = track(one, other, given, None)
+    back, ok_back, _ = track(other, one, there, None)
+    misses = np.linalg.norm((back - given)[:, 0], axis=1)
+    return there[:, 0], (np.hstack([ok, ok_back]) > 0).all(1) & (misses < most)
 
 
 def _of_plane(motion: np.ndarray, inverse: float) -> np.ndarray:
@@ -259,9 +274,7 @@ def bundle(
         of_point = (weight[..., None] * by_inverse**2).sum((0, 2)) + 1e-9
         across = np.einsum("vn,vnk,vnkp->vpn", weight, by_inverse, by_pose).reshape(6 * count, -1)
         of_pose = np.einsum("vn,vnkp,vnkq->vpq", weight, by_pose, by_pose)
-        matrix = np.zeros((6 * count, 6 * count))
-        for v in range(count):
-            matrix[6 * v : 6 * v + 6, 6 * v : 6 * v + 6] = of_pose[v] + np.diag(prior[v])
+        matrix = block_diag(*of_pose) + np.diag(prior.ravel())
         right_point = -(weight[..., None] * by_inverse * error).sum((0, 2))
         right_pose = -np.einsum("vn,vnk,vnkp->vp", weight, error, by_pose) - prior * moved
         reduced = matrix - (across / of_point) @ across.T

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from eldenet.data.base import Compose, DepthDataset, Size
+from eldenet.data.base import Compose, DepthDataset, Size, frame_tensors
 from eldenet.data.transforms import IDENTITY, Augmentation, Change
 from eldenet.geometry import BORDER_COLOR
 from eldenet.types import DepthSample, Frame
@@ -37,32 +37,24 @@ def raw_sample(
     """
     transform = dataset.transform
     steps = transform.steps if isinstance(transform, Compose) else [] if transform is None else [transform]
-    augmentation = steps[-1] if steps and isinstance(steps[-1], Augmentation) else None
-    for step in steps if augmentation is None else steps[:-1]:
-        frame = step(frame, generator)
-    change = (
-        Change(intrinsics=frame.intrinsics) if augmentation is None else augmentation.draw(frame, generator)
-    )
+    change: Change | None = None
+    for step in steps:
+        if isinstance(step, Augmentation) and step is steps[-1]:
+            change = step.draw(frame, generator)
+        else:
+            frame = step(frame, generator)
+    change = change or Change(frame.intrinsics)
     frame_size, frame = frame.depth.shape, frame._replace(intrinsics=change.intrinsics)
     if size is not None:
         frame = dataset.resized(frame, size)
-    intrinsics = np.zeros((3, 3)) if frame.intrinsics is None else frame.intrinsics
     plan = {
         "matrix": sampling_matrix(change.matrix, frame_size, frame.depth.shape),
         "color": color_stages(change.color),
         "nearer": change.nearer,
         "range": np.array([dataset.min_depth, dataset.max_depth]),
     }
-    sample: dict[str, Any] = {
-        "image": torch.from_numpy(np.ascontiguousarray(frame.image.transpose(2, 0, 1))),
-        "depth": torch.from_numpy(np.ascontiguousarray(frame.depth))[None],
-        "intrinsics": torch.from_numpy(np.array(intrinsics, dtype=np.float32)),
-        "name": frame.name,
-        "augmentation": {name: torch.as_tensor(value, dtype=torch.float32) for name, value in plan.items()},
-    }
-    if frame.labels is not None:
-        sample["labels"] = torch.from_numpy(np.ascontiguousarray(frame.labels))[None]
-    return cast(DepthSample, sample)
+    planned = {name: torch.as_tensor(value, dtype=torch.float32) for name, value in plan.items()}
+    return cast(DepthSample, frame_tensors(frame) | {"augmentation": planned})
 
 
 def color_stages(draws: Sequence[tuple[Any, Mapping[str, Any]]]) -> np.ndarray:

@@ -20,14 +20,8 @@ from eldenet.types import Frame
 FOLDER_TREE = """
 images/a.jpg, images/b.jpg ...     depths/a.png, depths/b.png ...     (other trees: eldenet check-data FOLDER)
 """
-PARTS = {
-    "train": "train",
-    "training": "train",
-    "val": "val",
-    "valid": "val",
-    "validation": "val",
-    "test": "test",
-}
+PARTS = {"train": "train", "training": "train", "test": "test"}
+PARTS |= dict.fromkeys(("val", "valid", "validation"), "val")
 
 
 class FolderDataset(FileDataset):
@@ -137,12 +131,8 @@ class FolderDataset(FileDataset):
             self._calibrate(self.camera, every)
 
     def _check_scale(self, root: Path, csv: str | None) -> None:
-        scale = None if csv is None else stated_scale(root / csv)
-        if (
-            scale is not None
-            and self.encoding.dtype != "float"
-            and not np.isclose(scale, self.encoding.scale)
-        ):
+        scale = None if csv is None or self.encoding.dtype == "float" else stated_scale(root / csv)
+        if scale is not None and not np.isclose(scale, self.encoding.scale):
             raise ValueError(
                 f"{root / str(csv)} states {scale:g} m per step, encoding={self.encoding.name} has "
                 f"{self.encoding.scale:g}: set data.encoding={{scale: {scale:g}}}"

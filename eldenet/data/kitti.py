@@ -83,7 +83,9 @@ class KITTIDepth(KITTIFrames):
         one_of("split", split, SPLITS)
         one_of("depth", depth, DEPTH_KINDS)
         folder = find_root(root, "kitti/depth", [], DEPTH_TREE)
-        beside = _picture_roots(folder, raw_root)
+        beside = [folder, folder.parent / "raw", folder.parent]
+        if raw_root is not None:
+            beside = [find_root(raw_root, None, [], RAW_TREE)]
         parts = {"test": ("val",), "all": ("train", "val", "")}.get(split, ("train", ""))
         chosen = _both(cameras)
         if list_file is not None:  # a list decides on parts and cameras
@@ -95,15 +97,8 @@ class KITTIDepth(KITTIFrames):
         without = [place for place in given if depth == "groundtruth" and not given[place]]
         places = _split([place for place in given if place not in without], split, exclude_list)
         self.ground_truth = _GROUND_TRUTH[depth]
-        super().__init__(
-            folder,
-            pictures_of(places, beside),
-            maps,
-            places,
-            without_depth=without,
-            frames=frames,
-            **options,
-        )
+        pictures = pictures_of(places, beside)
+        super().__init__(folder, pictures, maps, places, without_depth=without, frames=frames, **options)
         self.calibrate(beside, calibration)
 
 
@@ -229,12 +224,6 @@ def _both(cameras: Sequence[int]) -> Sequence[int]:
     if not cameras or not set(cameras) <= {2, 3}:
         raise ValueError(f"cameras={list(cameras)}: give [2] (left color), [3] (right color) or [2, 3]")
     return sorted(set(cameras))
-
-
-def _picture_roots(folder: Path, raw_root: str | Path | None) -> list[Path]:
-    if raw_root is not None:
-        return [find_root(raw_root, None, [], RAW_TREE)]
-    return [folder, folder.parent / "raw", folder.parent]
 
 
 def _split(places: Sequence[Place], split: str, exclude_list: str | Path | None) -> list[Place]:

@@ -1,7 +1,6 @@
 """KITTI's frames: where their files lie in every layout in use, and what the layouts share."""
 
 import logging
-import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -14,6 +13,7 @@ import numpy as np
 from eldenet.data.base import FileDataset, SampleOptions, check_pair
 from eldenet.data.io import read_depth, read_image
 from eldenet.data.kitti_calibration import CAM_TO_CAM, rectified_intrinsics
+from eldenet.data.paths import names_in
 from eldenet.system.checks import one_of
 from eldenet.system.errors import some_of
 from eldenet.system.files import read_text
@@ -69,11 +69,6 @@ def is_drive(name: str) -> bool:
     return _DRIVE.fullmatch(name) is not None
 
 
-def listed(folder: Path) -> frozenset[str]:
-    """Return the names in ``folder``, none if there is no such folder."""
-    return frozenset(os.listdir(folder)) if folder.is_dir() else frozenset()
-
-
 def depth_maps(root: Path, kind: str, parts: Sequence[str], cameras: Sequence[int]) -> dict[Place, Path]:
     """Find the devkit's depth maps below ``root``, however its zip files were unpacked.
 
@@ -89,10 +84,10 @@ def depth_maps(root: Path, kind: str, parts: Sequence[str], cameras: Sequence[in
     archive = "data_depth_annotated" if kind == "groundtruth" else "data_depth_velodyne"
     found: dict[Place, Path] = {}
     for folder in (root / base / part for base in ("", archive) for part in parts):
-        for drive in sorted(filter(is_drive, listed(folder))):
+        for drive in sorted(filter(is_drive, names_in(folder))):
             for camera in cameras:
                 maps = folder / drive / "proj_depth" / kind / f"image_{camera:02d}"
-                for file in sorted(name for name in listed(maps) if name.endswith(".png")):
+                for file in sorted(name for name in names_in(maps) if name.endswith(".png")):
                     place = Place(drive, camera, file[:-4])
                     if place in found:
                         raise ValueError(
@@ -104,7 +99,7 @@ def depth_maps(root: Path, kind: str, parts: Sequence[str], cameras: Sequence[in
 
 def pictures_of(places: Sequence[Place], roots: Sequence[Path]) -> dict[Place, Path]:
     """Find the frames' color pictures in KITTI raw's layout, Ma and Karaman's, or drives side by side."""
-    names = cache(listed)  # each folder is read once, so tens of thousands of frames take a moment
+    names = cache(names_in)  # each folder is read once, so tens of thousands of frames take a moment
     found = ((place, _picture_of(place, roots, names)) for place in places)
     return {place: picture for place, picture in found if picture is not None}
 
@@ -123,10 +118,10 @@ def _picture_of(place: Place, roots: Sequence[Path], names: Callable[[Path], fro
 def scans(root: Path, cameras: Sequence[int]) -> dict[Place, Path]:
     """Find the LiDAR scans of KITTI raw, once for each camera."""
     found = {}
-    for date in sorted(listed(root)):
-        for drive in sorted(filter(is_drive, listed(root / date))):
+    for date in sorted(names_in(root)):
+        for drive in sorted(filter(is_drive, names_in(root / date))):
             folder = root / date / drive / "velodyne_points" / "data"
-            for file in sorted(name for name in listed(folder) if name.endswith(".bin")):
+            for file in sorted(name for name in names_in(folder) if name.endswith(".bin")):
                 for camera in cameras:
                     found[Place(drive, camera, file[:-4])] = folder / file
     return found
@@ -140,7 +135,7 @@ def selected(folder: Path, word: str) -> dict[Place, Path]:
     """
     pattern = re.compile(rf"(?P<drive>.+_sync)_{word}_(?P<number>\d+)_image_(?P<camera>0[23])\.png")
     found = {}
-    for file in sorted(listed(folder)):
+    for file in sorted(names_in(folder)):
         match = pattern.fullmatch(file)
         if match is None or not is_drive(match["drive"]):
             raise ValueError(
@@ -159,10 +154,6 @@ def frame_list(file: str | Path) -> dict[Place, bool]:
     BTS: ``<date>/<drive>/image_02/data/0000000069.png <depth or None> [focal]``, with or without ``/`` in
     front. Its focal length is not used: the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
     (or ``r``).
-
-    Raises:
-        FileNotFoundError: there is no such list.
-        ValueError: a line is in neither format, or a frame is listed twice.
     """
     path = LISTS.get(str(file)) or Path(file).expanduser()
     places: dict[Place, bool] = {}

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -68,8 +68,14 @@ class NYUHDF5(FileDataset):
     def load_frame(self, index: int) -> Frame:
         """Read one file."""
         (path,) = self.frame_files(index)
-        with open_hdf5(path, path) as file:
-            return read_hdf5_frame(file, path, self.names[index])
+        with open_hdf5(path) as file:
+            image, depth = (_read(_take(file, key, path), (), path) for key in ("rgb", "depth"))
+        if depth.ndim != 2 or image.shape != (3, *depth.shape) or image.dtype != np.uint8:
+            raise ValueError(
+                f"{path}: rgb is {image.shape} {image.dtype} and depth {depth.shape}, expected (3, H, W) "
+                "uint8 and (H, W)"
+            )
+        return _frame(image.transpose(1, 2, 0), depth, path, self.names[index])
 
 
 class NYUMat(DepthDataset):
@@ -110,7 +116,7 @@ class NYUMat(DepthDataset):
         folder = find_root(root, "nyu_depth_v2/labeled", needed, MAT_TREE)
         self.path, self.ground_truth = folder / file, ground_truth
         self.depth_key = {"raw": "rawDepths", "inpainted": "depths"}[ground_truth]
-        with open_hdf5(self.path, self.path) as mat:
+        with open_hdf5(self.path) as mat:
             count = _mat_frames(mat, self.path, self.depth_key)
         self.numbers: Sequence[int] = range(1, count + 1)
         if split != "all":
@@ -133,48 +139,27 @@ class NYUMat(DepthDataset):
         """Read one frame."""
         at = self.numbers[index] - 1
         source = f"{self.path}, frame {at + 1}"
-        with open_hdf5(self.path, self.path) as mat:
+        with open_hdf5(self.path) as mat:
             image, depth = (
                 _read(_take(mat, key, source), at, source).T for key in ("images", self.depth_key)
             )
-        image = np.ascontiguousarray(image)
-        depth = decode_depth(np.ascontiguousarray(depth), "meters", source)
-        return Frame(image, depth, nyu_intrinsics((depth.shape[0], depth.shape[1])), self.names[index])
+        return _frame(image, depth, source, self.names[index])
 
 
-def read_hdf5_frame(file: Any, source: object, name: str) -> Frame:
-    """Return the frame in one of sparse-to-dense's open HDF5 files; ``source`` is for messages.
-
-    Raises:
-        ValueError: a key is missing, or an array has the wrong shape or type.
-    """
-    image, depth = (_read(_take(file, key, source), (), source) for key in ("rgb", "depth"))
-    if image.ndim != 3 or image.shape[0] != 3 or image.dtype != np.uint8 or image.shape[1:] != depth.shape:
-        raise ValueError(
-            f"{source}: rgb is {image.shape} {image.dtype} and depth {depth.shape}, expected (3, H, W) uint8 "
-            "and (H, W)"
-        )
-    size = (depth.shape[0], depth.shape[1])
-    image = np.ascontiguousarray(image.transpose(1, 2, 0))
-    return Frame(image, decode_depth(depth, "meters", source), nyu_intrinsics(size), name)
+def _frame(image: np.ndarray, depth: np.ndarray, source: object, name: str) -> Frame:
+    depth = decode_depth(np.ascontiguousarray(depth), "meters", source)
+    return Frame(np.ascontiguousarray(image), depth, nyu_intrinsics((depth.shape[0], depth.shape[1])), name)
 
 
-def open_hdf5(file: Path | BinaryIO, source: object) -> Any:
-    """Open an HDF5 file on disk or in memory; ``source`` is for messages.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ImportError: h5py is not installed.
-        ValueError: the file is truncated or not an HDF5 file.
-    """
-    if isinstance(file, Path) and not file.is_file():
-        raise FileNotFoundError(f"{source} does not exist: check root, or fetch the file again")
+def open_hdf5(path: Path) -> Any:
+    """Open an HDF5 file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist: check root, or fetch the file again")
     require("reading NYU's HDF5 files", "h5py")
     import h5py
 
-    with reading(source, "HDF5 file"):
-        opened = h5py.File(file, "r")
-    return opened
+    with reading(path, "HDF5 file"):
+        return h5py.File(path, "r")
 
 
 def _take(file: Any, key: str, source: object) -> Any:
@@ -183,16 +168,14 @@ def _take(file: Any, key: str, source: object) -> Any:
 
     with reading(source, "HDF5 file"):
         keys = sorted(file)
-        found, local = None, True
-        if key in keys:
-            local = isinstance(file.get(key, getlink=True), h5py.HardLink)
-            found = file[key] if local else None
-            local = local and not (getattr(found, "external", None) or getattr(found, "is_virtual", False))
-    if not local:
+        elsewhere = key in keys and not isinstance(file.get(key, getlink=True), h5py.HardLink)
+        found = file[key] if key in keys and not elsewhere else None
+        if getattr(found, "external", None) or getattr(found, "is_virtual", False):
+            elsewhere = True
+    if elsewhere:
         raise ValueError(
             f"{source}: {key!r} is a link or lies in another file, which eldenet does not follow: store "
-            "the array in "
-            "the file itself"
+            "the array in the file itself"
         )
     if found is None:
         raise ValueError(f"{source} has no {key!r}, only {', '.join(keys)}: is it the right file?")
@@ -212,8 +195,7 @@ def _read(dataset: Any, part: Any, source: object) -> np.ndarray:
     if count > MOST_CHUNKS:
         raise ValueError(f"{source}: its array lies in {count} chunks: store it in {MOST_CHUNKS} at most")
     with reading(source, "HDF5 file"):
-        values = np.asarray(dataset[part])
-    return values
+        return np.asarray(dataset[part])
 
 
 def _mat_frames(mat: Any, path: Path, depth_key: str) -> int:

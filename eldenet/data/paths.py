@@ -6,6 +6,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 from eldenet.system.errors import reading, some_of, warn_once
@@ -126,29 +127,22 @@ def incomplete(fault: str, tree: str, advice: str = "check data.root") -> FileNo
     return FileNotFoundError(f"{fault}: {advice}. Expected tree:\n{tree.strip()}")
 
 
+def names_in(folder: Path) -> frozenset[str]:
+    """Return the names in a folder, none if there is no such folder."""
+    return frozenset(os.listdir(folder)) if folder.is_dir() else frozenset()
+
+
 def missing_files(root: Path, files: Sequence[str]) -> list[str]:
     """Return those of ``files``, relative to ``root``, that do not exist.
 
     Each folder is listed once, so fifty thousand frames take a moment even on a network drive.
     """
-    listed: dict[str, set[str]] = {}
-    missing = []
-    for file in files:
-        folder, name = os.path.split(file)
-        if folder not in listed:
-            place = root / folder
-            listed[folder] = set(os.listdir(place)) if place.is_dir() else set()
-        if name not in listed[folder]:
-            missing.append(file)
-    return missing
+    names = cache(names_in)
+    return [file for file in files if os.path.basename(file) not in names(root / os.path.dirname(file))]
 
 
 def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
-    """Check that every file, relative to ``root``, exists; ``advice`` says where to look for them.
-
-    Raises:
-        FileNotFoundError: naming the first ten missing files and how many there are.
-    """
+    """Raise FileNotFoundError unless every file, relative to ``root``, exists; ``advice``: where to look."""
     missing = [str(root / file) for file in missing_files(root, files)]
     if missing:
         raise FileNotFoundError(
@@ -158,11 +152,7 @@ def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
 
 
 def check_inside(pairs: Sequence[tuple[str, str]], source: Path, advice: str) -> None:
-    """Refuse a list of files that leaves the data set's folder (``../``, or absolute).
-
-    Raises:
-        ValueError: naming the first such file; ``advice`` says what to do.
-    """
+    """Raise ValueError for a list of files that leaves the data set's folder (``../``, or absolute)."""
     for file in (file for pair in pairs for file in pair):
         if os.path.isabs(file) or os.path.normpath(file).split(os.sep)[0] == os.pardir:
             raise ValueError(f"{source}: {file[:200]!r} is outside the data set's folder: {advice}")
@@ -174,10 +164,6 @@ def csv_pairs(table: Path, *, allow_outside: bool | None = None) -> list[tuple[s
     Args:
         table: the CSV.
         allow_outside: whether files may lie outside the data set's folder; None: no, and there is no setting.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: a line is not a pair or leaves the folder, or the file is empty or not text.
     """
     pairs = []
     text = read_text(table, "fetch or write the list of frames again")

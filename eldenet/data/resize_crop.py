@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eldenet.data.base import resize_frame
-from eldenet.geometry import crop_corner, crop_intrinsics
+from eldenet.data.base import cut_frame, resize_frame
+from eldenet.geometry import crop_corner
 from eldenet.types import Frame
 
 
@@ -66,18 +66,14 @@ class ResizeCrop:
         return resize_frame(frame, (size[0], size[1]), sparse=self.sparse, area=False)
 
     def _window(self, frame: Frame, top: int, bottom: int, left: int, right: int) -> Frame:
-        image, depth, intrinsics, name, labels = frame
-        height, width = depth.shape
+        height, width = frame.depth.shape
         if not (0 <= top < bottom <= height and 0 <= left < right <= width):
             raise ValueError(
-                f"box={[top, bottom, left, right]} does not fit into {name}, which is {height}x{width} here"
+                f"box={[top, bottom, left, right]} does not fit into {frame.name}, which is {height}x{width} "
+                "here"
             )
-        if intrinsics is not None:
-            intrinsics = crop_intrinsics(intrinsics, top, left)
-        window = (slice(top, bottom), slice(left, right))
-        if not self.keep_depth:
-            depth, labels = depth[window], None if labels is None else labels[window]
-        return Frame(image[window], depth, intrinsics, name, labels)
+        cut = cut_frame(frame, top, bottom, left, right)
+        return cut._replace(depth=frame.depth, labels=frame.labels) if self.keep_depth else cut
 
 
 def _scaled(length: int, factor: float) -> int:

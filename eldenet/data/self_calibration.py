@@ -8,12 +8,12 @@ their lines: Hartley and Zisserman, "Multiple View Geometry in Computer Vision",
 import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from eldenet.data.depth_from_motion import View, apart, homogeneous
+from eldenet.data.depth_from_motion import View, apart, homogeneous, there_and_back
 from eldenet.geometry import level_rotation
 
 PAIR_WAY, MOST_WAY, MOST_TURN = 0.08, 1.0, 0.35  # between the pictures of a pair: least, most [m], [rad]
@@ -75,12 +75,8 @@ def _tracked(one: View, other: View) -> Pair:
     corners = cv2.goodFeaturesToTrack(one.gray, CORNERS, 0.01, max(3, SPACING * one.gray.shape[1]))
     if corners is None:
         return Pair(np.empty((0, 2)), np.empty((0, 2)), motion)
-    options: dict[str, Any] = {"winSize": (15, 15), "maxLevel": 4}
-    there, ok, _ = cv2.calcOpticalFlowPyrLK(one.gray, other.gray, corners, None, **options)  # type: ignore[call-overload]
-    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(other.gray, one.gray, there, None, **options)  # type: ignore[call-overload]
-    misses = np.linalg.norm((back - corners)[:, 0], axis=1)
-    good = (np.hstack([ok, ok_back]) > 0).all(1) & (misses < THERE_AND_BACK)
-    return Pair(corners[good, 0].astype(np.float64), there[good, 0].astype(np.float64), motion)
+    there, good = there_and_back(one.gray, other.gray, corners[:, 0], THERE_AND_BACK, maxLevel=4)
+    return Pair(corners[good, 0].astype(np.float64), there[good].astype(np.float64), motion)
 
 
 def fit_camera(pairs: Sequence[Pair], intrinsics: np.ndarray, forward: np.ndarray | None = None) -> CameraFit:

@@ -180,11 +180,7 @@ def _stamp(picture: Path) -> str:
 
 
 def find_pictures(folder: Path) -> list[str]:
-    """Return the pictures in ``folder`` and below, relative to it; hidden files and folders do not count.
-
-    Raises:
-        ValueError: there are none.
-    """
+    """Return the pictures in ``folder`` and below, relative to it; hidden files and folders do not count."""
     files = sorted(path.relative_to(folder).as_posix() for path in visible_files(folder, IMAGE_ENDINGS))
     if not files:
         raise ValueError(

@@ -132,11 +132,7 @@ class Augmentation:
             self.color.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
 
     def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
-        """Augment one frame; see :class:`Augmentation`.
-
-        Raises:
-            ValueError: image and depth differ in size.
-        """
+        """Augment one frame; see :class:`Augmentation`."""
         change = self.draw(frame, generator)
         image, depth, _, name, labels = frame
         for transform, drawn in change.geometry:
@@ -153,11 +149,7 @@ class Augmentation:
         return Frame(image, depth, change.intrinsics, name, labels)
 
     def draw(self, frame: Frame, generator: np.random.Generator) -> Change:
-        """Draw what happens to a frame.
-
-        Raises:
-            ValueError: image and depth differ in size.
-        """
+        """Draw what happens to a frame."""
         check_same_size(frame)
         # a shared state, as Compose.set_random_seed would seed all transforms alike, so that one draw
         # would decide on flip, affine and color alike

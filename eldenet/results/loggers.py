@@ -129,11 +129,7 @@ LOGGERS: Mapping[str, Callable[[Path, int | None], Logger]] = {
 
 
 def _library(name: str) -> Any:
-    """Import a logger's library.
-
-    Raises:
-        ImportError: it is not installed.
-    """
+    """Import a logger's library."""
     require(f"logger={name}", name)
     return import_module(name)
 

@@ -124,9 +124,6 @@ def render_arena(
 
     Density, light and number of pedestrians vary by arena; pose, time and camera settings by frame. Half of
     the poses are close to something, as a robot's are among obstacles. ``detail`` is :class:`ArenaView`'s.
-
-    Raises:
-        ValueError: unknown split or index out of range.
     """
     frames = [
         (photo.image, photo.depth, robot_intrinsics(size), *camera_pose(pose))

@@ -102,12 +102,7 @@ class Latencies:
 
     @classmethod
     def read(cls, study: Study) -> "Latencies | None":
-        """Read the file that ``sweep.yaml`` names; None: it names none.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError: it is empty, or was measured on different machines or runtimes.
-        """
+        """Read the file that ``sweep.yaml`` names; None: it names none."""
         if study.latency is None:
             return None
         path = study.folder / study.latency
@@ -131,11 +126,7 @@ class Latencies:
         return cls(lines)
 
     def check(self, row: StudyRow, run: Mapping[str, Any]) -> None:
-        """Refuse a latency that was measured on another network than a row's run has, or at another input.
-
-        Raises:
-            ValueError: names what differs.
-        """
+        """Raise ValueError for a latency of another network than a row's run has, or at another input."""
         line = self.lines.get(row.name)
         if line is None:
             return

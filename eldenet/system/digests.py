@@ -48,10 +48,9 @@ def with_digests(config: Mapping[str, Any], weights: bytes) -> dict[str, Any]:
 
 
 def check_digests(config: Mapping[str, Any], path: Path, weights: Path) -> None:
-    """Check the config that was read from ``path`` and the weights beside it; old configs have no digests.
+    """Raise ValueError unless the config read from ``path`` and the weights beside it match their digests.
 
-    Raises:
-        ValueError: a digest does not match.
+    Configs of earlier versions have none.
     """
     stored = config.get(KEY)
     found = {weights: ("weights", file_digest(weights)), path: ("config", digest_of(canonical(config)))}

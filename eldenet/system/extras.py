@@ -34,10 +34,9 @@ _OF_PARTS = {
 
 
 def require(purpose: str, *packages: str) -> None:
-    """Raise an error in one line if a package is missing; ``purpose`` is what needs it.
+    """Raise ImportError, with the command that installs them, if ``packages`` are missing.
 
-    Raises:
-        ImportError: with the command that installs the packages.
+    ``purpose`` is what needs them.
     """
     missing = [package for package in packages if not installed(package)]
     if missing:
@@ -51,11 +50,7 @@ def installed(package: str) -> bool:
 
 
 def require_for_parts(config: Any) -> None:
-    """Check the packages of all parts that composed settings name as ``_target_``; nothing is imported.
-
-    Raises:
-        ImportError: one is missing.
-    """
+    """Require the packages of all parts that composed settings name as ``_target_``; nothing is imported."""
     for name, module in _parts(config, ""):
         if module in _OF_PARTS:
             require(name, _OF_PARTS[module])

@@ -146,11 +146,7 @@ def _without_nan(value: Any) -> Any:
 
 
 def shipped_folder(name: str, file: str) -> Path:
-    """Return a folder that comes with eldenet: beside the package in a checkout, in the package in a wheel.
-
-    Raises:
-        FileNotFoundError: there is none.
-    """
+    """Return a folder that comes with eldenet: beside the package in a checkout, inside it in a wheel."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / name, package.parent / name):
         if (folder / file).is_file():
@@ -179,17 +175,13 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, yaml.safe_dump(dict(content), sort_keys=False))
 
 
-# --- readers: a damaged file, or one beyond a limit, is an error that names it ------------------------------
+# --- readers: a missing file is a FileNotFoundError, a damaged or too large one a ValueError; both name it
 
 
 def read_text(path: Path, advice: str = AGAIN, most: int = MOST_TEXT) -> str:
     """Return the text of a file (UTF-8), which is compressed where its name ends with ``.gz``.
 
     It may hold ``most`` bytes; ``advice`` says what to do if it is missing or no text.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is damaged, no text, or too long.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist{' as a file' * path.exists()}: {advice}")
@@ -204,12 +196,7 @@ def read_text(path: Path, advice: str = AGAIN, most: int = MOST_TEXT) -> str:
 
 
 def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Return the rows of a CSV file by column.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is not text, lacks one of ``columns``, or has a row with more or fewer cells.
-    """
+    """Return the rows of a CSV file by column; it must have ``columns``, and each row a cell for each."""
     text = read_text(path)
     with reading(path, "table"):
         reader = csv.DictReader(StringIO(text, newline=""), strict=True)
@@ -223,12 +210,7 @@ def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the plain values of a YAML file.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is not YAML, or larger than :data:`MOST_YAML`.
-    """
+    """Return the plain values of a YAML file of at most :data:`MOST_YAML`."""
     import yaml
 
     text = read_text(path, most=MOST_YAML)
@@ -241,21 +223,12 @@ def read_yaml(path: Path) -> Any:
 
 
 def read_json(path: Path) -> Any:
-    """Return the plain values of a JSON file.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is not JSON, larger than :data:`MOST_TEXT` or nested too deep.
-    """
+    """Return the plain values of a JSON file."""
     return parse_json(read_text(path), path)
 
 
 def parse_json(text: str, source: object) -> Any:
-    """Return the plain values of a JSON text; ``source`` is for messages.
-
-    Raises:
-        ValueError: the text is not JSON, or nested too deep.
-    """
+    """Return the plain values of a JSON text; ``source`` is for messages."""
     with reading(source, "JSON file"):
         level = [content := json.loads(text, parse_int=_whole_number, parse_constant=_refuse_constant)]
         for _ in range(DEEPEST):
