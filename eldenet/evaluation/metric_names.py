@@ -2,7 +2,10 @@
 
 METRICS = ("mse", "rmse", "mae", "abs_rel", "delta1", "delta2", "delta3", "log10", "silog", "ssim")
 LOWER_IS_BETTER = frozenset(
-    ("mse", "rmse", "mae", "abs_rel", "log10", "silog", "ause_abs_rel", "ause_rmse", "abs_rel_sure80", "nll")
+    (
+        *("mse", "rmse", "mae", "abs_rel", "log10", "silog", "ause_abs_rel", "ause_rmse", "abs_rel_sure80"),
+        *("nll", "scale_error"),  # the last one of adapt
+    )
 )
 # of a network that predicts its sigma, see evaluation/uncertainty_metrics.py
 UNCERTAINTY_METRICS = (

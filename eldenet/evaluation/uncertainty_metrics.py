@@ -1,8 +1,15 @@
-"""How good a predicted sigma is: sparsification, coverage of intervals, likelihood; image by image."""
+"""How good a predicted sigma is: sparsification, coverage of intervals, likelihood; image by image.
+
+Pixels and alignment are those of the depth's protocol. Each image's pixels are removed in equal steps, the
+least certain first. A sparsification curve is the error of those that are left, divided by the whole image's
+error; it ends at 0. AUSE is the area between the curve and the oracle's, which removes the pixels of the
+largest error of the same kind first (Ilg et al., "Uncertainty Estimates and Multi-Hypotheses Networks for
+Optical Flow", ECCV 2018). Every measure is the mean over images.
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,32 +18,17 @@ from torch import Tensor
 from eldenet.evaluation.metric_names import UNCERTAINTY_METRICS
 from eldenet.uncertainty import LEVELS, deviations
 
-
-@dataclass(frozen=True)
-class UncertaintyProtocol:
-    """The rules of these measures; pixels and alignment are those of the depth's protocol.
-
-    Each image's pixels are removed in ``steps`` equal steps, the least certain first. A sparsification curve
-    is the error of those that are left, divided by the whole image's error; it ends at 0. AUSE is the area
-    between the curve and the oracle's, which removes the pixels of the largest error of the same kind first
-    (Ilg et al., "Uncertainty Estimates and Multi-Hypotheses Networks for Optical Flow", ECCV 2018). Every
-    measure is the mean over images.
-    """
-
-    name: str = "per_image_20_steps"  # what a table calls it
-    steps: int = 20  # of a curve
-    removed: float = 0.2  # share of an image's pixels left out in abs_rel_sure80
-    # sigma ranks the pixels in the error's own unit: sigma / depth for AbsRel, sigma [m] for RMSE
-    unit: str = "the error's"
-    levels: tuple[float, ...] = LEVELS  # of the intervals
-    average: str = "image"  # over what the measures are averaged
-
-    def as_dict(self) -> dict[str, Any]:
-        """Every rule by name, as ``run.json`` stores it."""
-        return asdict(self)
-
-
-PROTOCOL = UncertaintyProtocol()
+STEPS = 20  # of a curve
+REMOVED = 0.2  # share of an image's pixels left out in abs_rel_sure80
+#: The rules of these measures, as ``run.json`` stores them.
+PROTOCOL = {
+    "name": "per_image_20_steps",
+    "steps": STEPS,
+    "removed": REMOVED,
+    "unit": "the error's",  # sigma / depth ranks pixels for AbsRel, sigma [m] for RMSE
+    "levels": LEVELS,  # of the intervals
+    "average": "image",
+}
 CURVES = ("abs_rel", "rmse")
 RELIABILITY_LEVELS = tuple(level / 20 for level in range(1, 20))
 
@@ -78,13 +70,12 @@ def score_image(
         "abs_rel": sparsification(error / truth, spread),
         "rmse": np.sqrt(sparsification(error**2, spread * depth)),
     }
-    area = {name: float((own - oracle).sum()) / PROTOCOL.steps for name, (own, oracle) in curves.items()}
+    area = {name: float((own - oracle).sum()) / STEPS for name, (own, oracle) in curves.items()}
     inside = [
-        log_error <= deviations(distribution, level) * spread
-        for level in (*PROTOCOL.levels, *RELIABILITY_LEVELS)
+        log_error <= deviations(distribution, level) * spread for level in (*LEVELS, *RELIABILITY_LEVELS)
     ]
     shares = [float(each.mean()) for each in inside]
-    kept = curves["abs_rel"][0][round(PROTOCOL.removed * PROTOCOL.steps)] * float((error / truth).mean())
+    kept = curves["abs_rel"][0][round(REMOVED * STEPS)] * float((error / truth).mean())
     values = (
         area["abs_rel"],
         area["rmse"],
@@ -98,9 +89,9 @@ def score_image(
 def sparsification(error: np.ndarray, uncertainty: np.ndarray) -> np.ndarray:
     """Curves ``(2, steps + 1)`` of the mean ``error (N,)`` left, relative to all of it: own and oracle's."""
     count = len(error)
-    left = [round(count * (1 - step / PROTOCOL.steps)) for step in range(PROTOCOL.steps)]
+    left = [round(count * (1 - step / STEPS)) for step in range(STEPS)]
     whole = max(float(error.mean()), 1e-12)
-    curves = np.zeros((2, PROTOCOL.steps + 1))
+    curves = np.zeros((2, STEPS + 1))
     for row, order in enumerate((uncertainty, error)):
         total = np.cumsum(error[np.argsort(order)])
         curves[row, :-1] = [total[max(n, 1) - 1] / max(n, 1) / whole for n in left]

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.evaluation.bootstrap import bootstrap_interval
-from eldenet.evaluation.metric_names import LOWER_IS_BETTER, UNITS
+from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results.fingerprints import fingerprint
 from eldenet.results.paired_intervals import DRAWS
 from eldenet.results.run_record import RUN_FILE, environment
-from eldenet.results.tables import WORDS
+from eldenet.results.tables import heading
 from eldenet.system.files import write_json
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ SAME_LEVELS = 2  # of 255, by which thumbnails of one scene may differ at most
 PICTURE_HEIGHT = 240  # [px] of a panel of before_after.png
 #: Facts about weights that a change makes untrue.
 MEASURED = ("test", "delta1", "abs_rel", "rmse")
-#: What a table calls errors that are no metrics of depth.
-OTHERS = {"scale_error": "error of scale"}
 
 
 @dataclass(frozen=True)
@@ -45,8 +43,7 @@ class Change:
     @property
     def is_better(self) -> bool:
         """Whether the whole interval lies on the better side of 0."""
-        lower = self.metric in LOWER_IS_BETTER or self.metric in OTHERS
-        return self.high < 0 if lower else self.low > 0
+        return self.high < 0 if self.metric in LOWER_IS_BETTER else self.low > 0
 
 
 def compare(metric: str, before: Sequence[float], after: Sequence[float]) -> Change:
@@ -107,11 +104,8 @@ def say_changes(log: "RunLog", title: str, changes: Mapping[str, Change]) -> Non
     """Print a table of at most 80 columns: before, after, and the difference with its interval."""
     rows = []
     for metric, change in changes.items():
-        unit = f" [{UNITS[metric].replace('^2', '²')}]" if metric in UNITS else ""
-        arrow = "↓" if metric in LOWER_IS_BETTER or metric in OTHERS else "↑"
-        word = WORDS.get(metric, OTHERS.get(metric, metric))
         interval = f"{change.after - change.before:+.3f} [{change.low:+.3f}, {change.high:+.3f}]"
-        rows.append([f"{word}{unit} {arrow}", f"{change.before:.3f}", f"{change.after:.3f}", interval])
+        rows.append([heading(metric), f"{change.before:.3f}", f"{change.after:.3f}", interval])
     log.table(title, ["held-out frames", "before", "after", "change, 95 % interval"], rows)
 
 

@@ -38,14 +38,7 @@ NEEDED_FOR_COSTS = ("hardware.processor", *(f"cost.{name}" for name in SAME_FOR_
 UNNAMED = ("seed", "output", "run_dir", "ckpt_path", "model", "model_name")
 # equal in all runs of a row, which differ in their seed: the sections that shape a training
 SAME_IN_A_ROW = (
-    "model",
-    "data",
-    "loss",
-    "optimizer",
-    "scheduler",
-    "augmentation",
-    "trainer",
-    "normalization",
+    *("model", "data", "loss", "optimizer", "scheduler", "augmentation", "trainer", "normalization"),
 )
 
 

@@ -113,9 +113,8 @@ def two_level_interval(mine: np.ndarray, other: np.ndarray, scenes: np.ndarray) 
         images /= images.sum(axis=1, keepdims=True)
         one, two = (_shares(rng, len(values)) * (images @ values.T) for values in (mine, other))
         means.append(one.sum(axis=1) - two.sum(axis=1))
-    low, high = np.quantile(np.concatenate(means), LIMITS).round(
-        12
-    )  # rounding errors around 0 are no verdict
+    # rounding errors around 0 are no verdict
+    low, high = np.quantile(np.concatenate(means), LIMITS).round(12)
     return float(low), float(high)
 
 

@@ -86,7 +86,7 @@ def score(
         "skipped": skipped | {split: dataset.skipped},
         "protocol": protocol.as_dict(),
         "metrics": result.metrics,
-        "uncertainty_protocol": PROTOCOL.as_dict() if result.uncertainty else None,
+        "uncertainty_protocol": PROTOCOL if result.uncertainty else None,
         "errors_by_class": result.classes or None,
         "constant_predictor": None if constant is None else _evaluate(constant, *scored).metrics,
         "normalization": _normalization(model),

@@ -20,7 +20,13 @@ TIMES = ("latency_ms_p50", "throughput_img_s")
 BUSY = 1.5  # by how much times may differ: in two runs, or on the clock and of the processors
 MARK = "(busy)"  # beside times that say nothing; LaTeX and CSV leave them out
 BUSY_NOTE = f"{MARK}: other jobs used the machine, so measure again (eldenet benchmark); not in LaTeX and CSV"
-COSTS = ("params", "gmacs", "gflops", "latency_ms_p50", "throughput_img_s")
+COSTS = {  # and their headings
+    "params": "params ↓",
+    "gmacs": "GMACs ↓",
+    "gflops": "GFLOPs ↓",
+    "latency_ms_p50": "latency [ms] ↓",
+    "throughput_img_s": "img/s ↑",
+}
 WORDS = {
     "abs_rel": "AbsRel",
     "rmse": "RMSE",
@@ -32,6 +38,7 @@ WORDS = {
     "ause_rmse": "AUSE RMSE",
     "abs_rel_sure80": "AbsRel of sure 80 %",
     "nll": "NLL",
+    "scale_error": "error of scale",
 } | {f"delta{power}": f"δ{power}" for power in (1, 2, 3)}
 
 
@@ -74,19 +81,12 @@ def cost_text(name: str, costs: Sequence[Mapping[str, Any]]) -> str:
     return f"{shown} {MARK}" if is_busy(name, costs) else shown
 
 
-def heading(name: str, run: Mapping[str, Any]) -> str:
-    """Column title with unit and direction; an inverse depth has no unit."""
-    costs = {
-        "params": "params ↓",
-        "gmacs": "GMACs ↓",
-        "gflops": "GFLOPs ↓",
-        "latency_ms_p50": "latency [ms] ↓",
-        "throughput_img_s": "img/s ↑",
-    }
-    if name in costs:
-        return costs[name]
-    unit = f" [{UNITS[name].replace('^2', '²')}]" if name in UNITS else ""
-    unit = "" if run["protocol"].get("inverse_scale") else unit
+def heading(name: str, run: Mapping[str, Any] | None = None) -> str:
+    """Column title with unit and direction; where a run scored an inverse depth, it has no unit."""
+    if name in COSTS:
+        return COSTS[name]
+    inverse = run is not None and run["protocol"].get("inverse_scale")
+    unit = f" [{UNITS[name].replace('^2', '²')}]" if name in UNITS and not inverse else ""
     if name.startswith("coverage"):  # neither more nor less is better
         return f"in {name.removeprefix('coverage')} %"
     return f"{WORDS.get(name, name)}{unit} {'↓' if name in LOWER_IS_BETTER else '↑'}"

@@ -9,7 +9,7 @@ from eldenet.simulation.arenas import SPLITS, Arena
 from eldenet.simulation.furnished_rooms import furniture, household
 from eldenet.simulation.obstacle import WALL_HEIGHT, Obstacle
 from eldenet.simulation.rendering.materials import Materials
-from eldenet.simulation.rendering.mjcf import Body, Draw, numbers
+from eldenet.simulation.rendering.mjcf import Body, Draw, numbers, world_text
 
 _LOW = (furniture.coffee_table, furniture.stool, household.basket)
 _MIDDLE = (furniture.table, furniture.desk, furniture.cabinet, furniture.crib, household.basket)
@@ -24,11 +24,7 @@ def detailed_arena(arena: Arena) -> str:
     shell = Body()
     _hall(draw, materials, shell, arena.side)
     bodies = [_obstacle(draw, materials, obstacle) for obstacle in arena.obstacles]
-    return (
-        '<mujoco model="arena">\n<compiler angle="degree"/>\n'
-        f"{materials.palette.assets()}\n<worldbody>\n" + "\n".join([*bodies, shell.text()]) + "\n"
-        "</worldbody>\n</mujoco>\n"
-    )
+    return world_text("arena", materials.palette, [*bodies, shell.text()])
 
 
 def _obstacle(d: Draw, m: Materials, obstacle: Obstacle) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena, clearance_map
+from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena, clearance_map, reachable
 from eldenet.simulation.obstacle import SIDE, Obstacle, Point
 from eldenet.simulation.pedestrians import PERSON_RADIUS
 from eldenet.system.checks import one_of
@@ -101,11 +101,9 @@ def _obstacle(name: str, content: Any, side: float) -> Obstacle:
 
 def _check_way(points: Sequence[Point], obstacles: Sequence[Obstacle], side: float) -> None:
     """Raise unless a robot has room at every point and a way from each to the next."""
-    from skimage.measure import label
-
     names = ["start", *(f"waypoints[{index}]" for index in range(len(points) - 1))]
     clearance = clearance_map(obstacles, side)
-    regions = label(clearance >= INFLATION, connectivity=1)
+    regions = reachable(clearance)
     found = []
     for name, (x, y) in zip(names, points, strict=True):
         column, row = (min(int((value + side / 2) / RESOLUTION), len(clearance) - 1) for value in (x, y))

@@ -11,7 +11,7 @@ import numpy as np
 from eldenet.simulation.arena_mjcf import FRICTION, TIMESTEP, WHEEL_RADIUS, WHEEL_TRACK, arena_mjcf
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.obstacle import THIN
-from eldenet.simulation.rendering.camera import SEEN_GROUPS
+from eldenet.simulation.rendering.camera import SEEN_GROUPS, cast_rays
 from eldenet.simulation.robot import ROBOT, Robot, arc
 from eldenet.system.checks import one_of
 
@@ -44,7 +44,7 @@ class ArenaWorld:
         self.model: Any = mujoco.MjModel.from_xml_string(text)
         self.data: Any = mujoco.MjData(self.model)
         self._kinematics, self._collide = mujoco.mj_kinematics, mujoco.mj_collision
-        self._step, self._rays = mujoco.mj_step, mujoco.mj_multiRay
+        self._step = mujoco.mj_step
         self._pedestrians = arena.pedestrians
         self._solid = self.model.geom_contype == 1  # obstacles and walls
         wall = 2 * np.min(self.model.geom_size[:, :2], axis=1) < THIN  # which no detector finds
@@ -126,11 +126,9 @@ class ArenaWorld:
         origin, yaw = np.array(view.camera_center(self.pose)), self.pose[2]
         angles = np.array(view.column_angles) + yaw
         rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(view.columns)], axis=1)
-        distance, geom = np.empty(view.columns), np.empty(view.columns, np.int32)
-        self._rays(
-            self.model, self.data, origin, rays.ravel(), SEEN_GROUPS, 1, -1, geom, distance, None,
-            view.columns, view.far,
-        )  # fmt: skip
+        distance, geom, _ = cast_rays(
+            self.model, self.data, origin, rays, view.far, normals=False, groups=SEEN_GROUPS
+        )
         distance[geom < 0] = view.far
         return distance, geom
 

@@ -7,7 +7,7 @@ two of them.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -30,15 +30,14 @@ from eldenet.system.digests import digest_of
 
 #: First number of every split's seeds; no other seed of this package starts with these.
 SPLITS = {"train": 100, "val": 101, "test": 102}
-#: Kinds of arenas, each with the number that ends its seeds; open ones have none.
-KINDS = {"open": (), "rooms": (1,), "traps": (2,), "office": (3,), "maze": (4,), "corridor": (5,)}
-_WALLS = {
-    "open": lambda _: OPEN,
-    "rooms": draw_rooms,
-    "traps": draw_trap,
-    "office": draw_office,
-    "maze": draw_maze,
-    "corridor": draw_corridor,
+#: Kinds of arenas: what draws the walls, and the number that ends the seeds; open ones have none.
+KINDS: dict[str, tuple[Callable[[Draw], Walls], tuple[int, ...]]] = {
+    "open": (lambda _: OPEN, ()),
+    "rooms": (draw_rooms, (1,)),
+    "traps": (draw_trap, (2,)),
+    "office": (draw_office, (3,)),
+    "maze": (draw_maze, (4,)),
+    "corridor": (draw_corridor, (5,)),
 }
 RESOLUTION = 0.1  # of the grid on which the goal must be reachable [m]
 INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
@@ -108,9 +107,10 @@ def generate_arena(
     ):
         if not 0 <= value <= most:
             raise ValueError(f"{name}={value}: give 0 to {most:g}")
-    draw = Draw((SPLITS[split], density, pedestrians, index, *KINDS[kind]))
+    draw_walls, last = KINDS[kind]
+    draw = Draw((SPLITS[split], density, pedestrians, index, *last))
     while True:
-        walls = _WALLS[kind](draw)
+        walls = draw_walls(draw)
         if walls.narrow and (density or pedestrians):
             raise ValueError(
                 f"density={density}, pedestrians={pedestrians}: arena.kind={kind} has room for none, give 0"
@@ -177,9 +177,7 @@ def draw_start_and_goal(
     The start keeps its distance from where ``pedestrians`` set out. A goal is reachable if the grid, inflated
     by :data:`INFLATION`, connects it to the start in four directions.
     """
-    from skimage.measure import label
-
-    regions = label(clearance >= INFLATION, connectivity=1)
+    regions = reachable(clearance)
     starts = np.argwhere((clearance >= START_CLEARANCE) & (regions > 0))
     goals = np.argwhere((clearance >= GOAL_CLEARANCE) & (regions > 0))
     for pedestrian in pedestrians:
@@ -197,11 +195,16 @@ def draw_start_and_goal(
     return None
 
 
-def connected(clearance: np.ndarray, start: Sequence[float], goal: Point, room: tuple[float, float]) -> bool:
-    """Whether start and goal have ``room`` [m] each and the inflated grid ``(n, n)`` [m] connects them."""
+def reachable(clearance: np.ndarray) -> np.ndarray:
+    """Number the parts of a clearance map ``(n, n)`` [m] within which a robot can drive; 0: no room."""
     from skimage.measure import label
 
-    regions = label(clearance >= INFLATION, connectivity=1)
+    return np.asarray(label(clearance >= INFLATION, connectivity=1))
+
+
+def connected(clearance: np.ndarray, start: Sequence[float], goal: Point, room: tuple[float, float]) -> bool:
+    """Whether start and goal have ``room`` [m] each and the inflated grid ``(n, n)`` [m] connects them."""
+    regions = reachable(clearance)
     cells = [tuple(int((value + SIDE / 2) / RESOLUTION) for value in (at[1], at[0])) for at in (start, goal)]
     clear = clearance[cells[0]] >= room[0] and clearance[cells[1]] >= room[1]
     return bool(clear and regions[cells[0]] == regions[cells[1]] > 0)

@@ -52,9 +52,8 @@ def occluded(disparity: np.ndarray) -> np.ndarray:
         disparity: ``(H, W)`` [px]; column ``x`` of the left picture is column ``x - disparity`` of the right.
     """
     at = np.arange(disparity.shape[1]) - disparity
-    ahead = np.minimum.accumulate(at[:, ::-1], axis=1)[
-        :, ::-1
-    ]  # leftmost of this pixel and those right of it
+    # leftmost of this pixel and those right of it
+    ahead = np.minimum.accumulate(at[:, ::-1], axis=1)[:, ::-1]
     hidden = np.zeros(disparity.shape, bool)
     hidden[:, :-1] = ahead[:, 1:] < at[:, :-1]
     return hidden

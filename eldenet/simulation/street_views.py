@@ -79,11 +79,9 @@ def render_street(
     sky, seed = hits.geom.reshape(size) < 0, (STREAM, SPLITS[split], index, 2)
     if detail:
         linear[sky] = sky_color(camera.rays(rotation)[sky.ravel()], scene.sky, Draw((*seed, 2)))
-    else:
-        linear[sky] = scene.sky
-    if detail:
         image = develop_photo(linear, Draw(seed), (*seed, 1), outdoors=kind != "hall")
     else:
+        linear[sky] = scene.sky
         image = develop(linear, Draw(seed), (*seed, 1))
     owner = np.append(compiled.model.geom_bodyid - 1, -1)[hits.geom]
     instance = np.where(owner < len(scene.names), owner, -1).reshape(size)

@@ -12,7 +12,7 @@ from eldenet.simulation import vehicles
 from eldenet.simulation.furnished_rooms import household
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, Room
 from eldenet.simulation.rendering.materials import Materials, jitter
-from eldenet.simulation.rendering.mjcf import Body, Draw
+from eldenet.simulation.rendering.mjcf import Body, Draw, world_text
 from eldenet.simulation.rendering.textures import variants
 from eldenet.simulation.street_furniture import StreetFurniture
 from eldenet.system.checks import one_of
@@ -88,11 +88,8 @@ class _Builder:
         else:
             room = self._hall()
             camera, tilt = d.uniform(0.5, 1.5), (d.uniform(-0.06, 0.02), d.uniform(-0.012, 0.012))
-        bodies = "\n".join(body.text() for body in self.bodies)
-        room.text = (
-            '<mujoco model="street">\n<compiler angle="degree"/>\n'
-            f"{self.m.palette.assets()}\n<worldbody>\n{bodies}\n{self.shell.text()}\n</worldbody>\n</mujoco>\n"
-        )
+        parts = [body.text() for body in (*self.bodies, self.shell)]
+        room.text = world_text("street", self.m.palette, parts)
         room.detail = self.furniture is not None
         tone = d.uniform(0.6, 1.0)
         return Scene(room, self.names, (0.55 * tone, 0.7 * tone, 0.95 * tone), camera, tilt)

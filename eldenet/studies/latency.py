@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from eldenet.configurable import instantiate
 from eldenet.results.fingerprints import differences
 from eldenet.results.run_record import check_figures
-from eldenet.studies.matching import run_overrides
-from eldenet.studies.plan import Study, StudyRow, training_settings
+from eldenet.studies.matching import planned_settings
+from eldenet.studies.plan import Study, StudyRow
 from eldenet.system.errors import reading
 from eldenet.system.files import read_table, write_rows
 
@@ -48,9 +48,7 @@ def row_networks(study: Study) -> RowNetworks:
     found = RowNetworks({}, {}, {}, {})
     first: dict[str, str] = {}
     for row in study.rows:
-        nowhere = Path("unused")
-        overrides = run_overrides(study.overrides_of(row), nowhere, nowhere, name=row.name, seed=0)
-        config = training_settings(overrides)
+        config = planned_settings(row, study.overrides_of(row), seed=0)
         settings, size = config["model"], config["data"]["input_size"]
         if size is None:
             raise ValueError(

@@ -13,17 +13,11 @@ from eldenet.results.run_record import RUN_FILE, check_entries, scored_run
 from eldenet.studies.plan import RATE, Study, StudyRow, rate_name, run_name, training_settings
 
 #: Entries of a stored run.
-NEEDED: tuple[str, ...] = (
-    "seed",
-    "data",
-    "split",
-    "split_hash",
-    "metrics.images",
-    "config",
-    "date",
+NEEDED = (
+    *("seed", "data", "split", "split_hash", "metrics.images", "config", "date"),
+    *("cost.height", "cost.width", "cost.params", "cost.gmacs"),
+    *("versions.torch", "hardware.processor", "resources.precision"),
 )
-NEEDED += ("cost.height", "cost.width", "cost.params", "cost.gmacs", "versions.torch")
-NEEDED += ("hardware.processor", "resources.precision")
 _NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
 
 
@@ -91,7 +85,7 @@ def search_differences(
 
 def outdated_search(study: Study, row: StudyRow, choice: Choice) -> list[str]:
     """Differences between the trials that the plan asks for and those behind a stored choice."""
-    trial = _planned(study, row, study.overrides_of(row, trial=True), seed=0)
+    trial = planned_settings(row, study.overrides_of(row, trial=True), seed=0)
     candidates = study.owner_of(row).learning_rates
     return search_differences(candidates, trial, choice.record, frozenset(row.given.values()))
 
@@ -105,12 +99,13 @@ def outdated(study: Study, row: StudyRow, run: Mapping[str, Any]) -> list[str]:
     choice = stored_choice(study, row)
     rate = row.learning_rate if choice is None else choice.rate
     further = [] if rate is None else [f"{RATE}={rate}"]
-    settings = _planned(study, row, [*study.overrides_of(row), *further], seed=int(run["seed"]))
+    settings = planned_settings(row, [*study.overrides_of(row), *further], seed=int(run["seed"]))
     ignored = frozenset(("lr",)) if rate is None else frozenset()
     return run_differences(settings, run, ignored=ignored, given=frozenset(row.given.values()))
 
 
-def _planned(study: Study, row: StudyRow, shared: Sequence[str], *, seed: int) -> dict[str, Any]:
+def planned_settings(row: StudyRow, shared: Sequence[str], *, seed: int) -> dict[str, Any]:
+    """The settings of a row's run with these overrides, wherever it would be stored."""
     nowhere = Path("unused")
     return training_settings(run_overrides(shared, nowhere, nowhere, name=row.name, seed=seed))
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results import paired_intervals
@@ -25,51 +25,63 @@ SEEDS_OF_A_VERDICT = 3  # fewer runs of a row say nothing about the chance in a 
 EXPECTED_HEADER = ("row", "block", "status", *PUBLISHED, "protocol", "source")
 
 
+class Column(NamedTuple):
+    """A column of a block."""
+
+    title: str
+    kind: str  # "row", "seeds", "seen", "metric", "difference", "cost" or "published"
+    cell: Callable[["Member"], str]
+    core: bool = False  # whether it comes first where there is no room for all
+
+
 @dataclass(frozen=True)
 class Block:
     """One table: rows of one start class."""
 
     name: str  # of the start class
-    titles: list[str]  # of the columns
+    columns: list[Column]
     rows: list[list[str]]  # cells
     notes: list[str]  # lines below the table
     points: list[tuple[str, float, float]]  # row, latency [ms] or GMACs, metric, for the plot
     differences: dict[str, Difference]  # to the reference row, by row
     reference: str  # that row; "" without one
-    published: int  # number of the first column of published figures, which are shown in a separate table
-    # numbers of the columns of metrics, of the difference and of the costs; each list starts with 0
-    parts: list[list[int]]
-    core: list[int]  # numbers of the columns that come first where there is no room for all
+
+    @property
+    def titles(self) -> list[str]:
+        """Titles of all columns."""
+        return [column.title for column in self.columns]
+
+    def part(self, *kinds: str) -> tuple[list[str], list[list[str]], list[int]]:
+        """Titles and core columns of these kinds, and the rows that have a figure of the last one."""
+        places = [place for place, column in enumerate(self.columns) if column.kind in kinds]
+        figures = [place for place in places if self.columns[place].kind == kinds[-1]]
+        rows = [row for row in self.rows if any(row[place] != "-" for place in figures)]
+        core = [number for number, place in enumerate(places) if self.columns[place].core]
+        titles = [self.columns[place].title for place in places]
+        return titles, [[row[place] for place in places] for row in rows], core
 
     def measured_here(self) -> tuple[list[str], list[list[str]]]:
-        """Titles and rows without the published figures."""
-        return self.titles[: self.published], [row[: self.published] for row in self.rows]
+        """Titles and rows without the published figures, which are shown in a separate table."""
+        count = sum(column.kind != "published" for column in self.columns)
+        return self.titles[:count], [row[:count] for row in self.rows]
 
     def apart(self) -> list[tuple[list[str], list[list[str]], list[int]]]:
         """Titles, rows with figures, and core columns of the metrics, the difference and the costs."""
-        tables = []
-        for places in self.parts:
-            cells = [[row[place] for place in places] for row in self.rows]
-            figures = 2 if places[1:2] == [1] else 1  # behind the number of seeds
-            rows = [row for row in cells if set(row[figures:]) - {"-"}]
-            core = [places.index(place) for place in self.core if place in places]
-            if rows:
-                tables.append(([self.titles[place] for place in places], rows, core))
-        return tables
+        kinds = ("row", "seeds", "metric"), ("row", "difference"), ("row", "cost")
+        return [table for table in (self.part(*each) for each in kinds) if table[1]]
 
     def without_figures(self) -> dict[str, list[str]]:
         """Names of the rows without a run, by the reason."""
+        with_figures = {row[0] for row in self.part("row", "metric")[1]}
         found: dict[str, list[str]] = {}
-        for row in self.rows:
-            if not set(row[place] for place in self.parts[0][2:]) - {"-"}:
-                found.setdefault(row[1], []).append(row[0])
+        for name, status, *_ in self.rows:
+            if name not in with_figures:
+                found.setdefault(status, []).append(name)
         return found
 
     def published_elsewhere(self) -> tuple[list[str], list[list[str]]]:
         """Titles and rows of the published figures, where there are any."""
-        rows = [[row[0], *row[self.published :]] for row in self.rows]
-        titles = [self.titles[0], *self.titles[self.published :]]
-        return titles, [row for row in rows if set(row[1:]) - {"-"}]
+        return self.part("row", "published")[:2]
 
 
 def read_expected(folder: Path) -> list[dict[str, str]]:
@@ -138,11 +150,11 @@ def build_blocks(study: Study) -> list[Block]:
     return [_block(study, name, [line for line in expected if line["block"] == name]) for name in names]
 
 
-def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Block:
+def _block(study: Study, block: str, expected: Sequence[Mapping[str, str]]) -> Block:
     lines = {line["row"]: line for line in expected}
-    members = [_member(study, row, lines.pop(row.name, {})) for row in study.rows if row.block == name]
+    members = [_member(study, row, lines.pop(row.name, {})) for row in study.rows if row.block == block]
     for rival, line in lines.items():  # figures of others alone
-        members.append(Member(StudyRow(rival, block=name, seen="-"), line, planned=False))
+        members.append(Member(StudyRow(rival, block=block, seen="-"), line, planned=False))
     latencies = Latencies.read(study)
     for member in members:
         if latencies and member.runs:
@@ -150,44 +162,37 @@ def _block(study: Study, name: str, expected: Sequence[Mapping[str, str]]) -> Bl
     every = [run for member in members for run in member.runs]
     reference = next((m for m in members if m.row.name in study.reference and m.runs), None)
     differences = {} if reference is None else _differences(study, reference, members)
-    columns: list[tuple[str, Callable[[Member], str]]] = [
-        ("row", lambda member: member.row.name),
-        ("seeds", lambda member: member.status),
-        (SEEN, lambda member: member.row.seen),
+    columns = [
+        Column("row", "row", lambda member: member.row.name),
+        Column("seeds", "seeds", lambda member: member.status),
+        Column(SEEN, "seen", lambda member: member.row.seen),
     ]
-    core = []
     for metric in study.columns:
-        core += [len(columns)] * (metric in CORE)
         title = heading(metric, every[0]) if every else metric
-        columns.append((title, partial(Member.text, group="metrics", name=metric)))
-    parts = [[0, 1, *range(3, len(columns))]]
+        cell = partial(Member.text, group="metrics", name=metric)
+        columns.append(Column(title, "metric", cell, core=metric in CORE))
     if reference is not None:
-        parts.append([0, len(columns)])
         shown = {row: difference.text for row, difference in differences.items()}
         title = f"{study.compare} - {reference.row.name}'s [95 %]"
-        columns.append((title, lambda member: shown.get(member.row.name, "-")))
-    measured = len(columns)
+        columns.append(Column(title, "difference", lambda member: shown.get(member.row.name, "-")))
     for cost in COUNTED if every else ():
-        columns.append((heading(cost, every[0]), partial(Member.text, group="cost", name=cost)))
+        columns.append(Column(heading(cost, every[0]), "cost", partial(Member.text, group="cost", name=cost)))
     if latencies:
-        core.append(len(columns))
+        title, of = f"{latencies.title} ↓", latencies.of
         columns.append(
-            (f"{latencies.title} ↓", lambda member: number("latency_ms_p50", latencies.of(member.row.name)))
+            Column(title, "cost", lambda member: number("latency_ms_p50", of(member.row.name)), core=True)
         )
-    published = len(columns)
-    parts.append([0, *range(measured, published)])
     if any(line[column] for line in expected for column in PUBLISHED):
-        for column in (*PUBLISHED, "protocol", "source"):
-            columns.append((f"published {column}", partial(Member.published, name=column)))
-    rows = [[cell(member) for _, cell in columns] for member in members]
+        for name in (*PUBLISHED, "protocol", "source"):
+            columns.append(Column(f"published {name}", "published", partial(Member.published, name=name)))
+    rows = [[column.cell(member) for column in columns] for member in members]
     for label, metrics in constant_rows(every, study.columns):
         cells = [label, "-", "depth of the training frames", *metrics]
         rows.append(cells + ["-"] * (len(columns) - len(cells)))
     points = [point for member in members if (point := _point(study, member, latencies))]
     compared = "" if reference is None else reference.row.name
     notes = _notes(study, members, latencies, compared)
-    titles = [title for title, _ in columns]
-    return Block(name, titles, rows, notes, points, differences, compared, published, parts, core)
+    return Block(block, columns, rows, notes, points, differences, compared)
 
 
 def _member(study: Study, row: StudyRow, expected: Mapping[str, str]) -> Member:

@@ -15,14 +15,14 @@ from eldenet.evaluation.metric_names import UNCERTAINTY_METRICS, in_range
 from eldenet.evaluation.uncertainty_metrics import (
     PROTOCOL,
     RELIABILITY_LEVELS,
+    STEPS,
     UncertaintyMeter,
     score_image,
     sparsification,
 )
 from eldenet.heads import LinearHead, UncertainHead
 from eldenet.train import TrainSettings
-
-STEPS = PROTOCOL.steps
+from eldenet.uncertainty import LEVELS
 
 
 def values(scored) -> dict[str, float]:
@@ -84,7 +84,7 @@ def test_coverage_and_likelihood_are_those_of_the_distribution(distribution: str
     depth = rng.uniform(0.5, 5, spread.size)
     scored = score_image(depth, depth * np.exp(error), spread, distribution)
     found = values(scored)
-    for level in PROTOCOL.levels:
+    for level in LEVELS:
         assert found[f"coverage{100 * level:.0f}"] == pytest.approx(level, abs=0.005)
     np.testing.assert_allclose(scored.coverage, RELIABILITY_LEVELS, atol=0.005)
     density = stats.laplace.logpdf if distribution == "laplace" else stats.norm.logpdf
@@ -162,6 +162,6 @@ def test_a_run_folder_shows_the_measures(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(scoring, "small_net", lambda: small_net(head=UncertainHead(LinearHead())))
     record = score_small(compose(TrainSettings, words), tmp_path, "val")
     assert set(UNCERTAINTY_METRICS) < set(record["metrics"])
-    assert record["uncertainty_protocol"]["name"] == PROTOCOL.name
+    assert record["uncertainty_protocol"]["name"] == PROTOCOL["name"]
     for name in ("uncertainty.csv", "sparsification.png", "reliability.png"):
         assert (tmp_path / name).stat().st_size > 100

@@ -11,7 +11,7 @@ from eldenet.simulation.furnished_rooms.fittings import add_fittings
 from eldenet.simulation.furnished_rooms.kinds import KINDS, Item, Kind
 from eldenet.simulation.furnished_rooms.walls import Wall, overlaps
 from eldenet.simulation.rendering.materials import Materials
-from eldenet.simulation.rendering.mjcf import Body, Draw
+from eldenet.simulation.rendering.mjcf import Body, Draw, world_text
 from eldenet.simulation.rendering.shading import Room
 
 #: First number of every split's seeds.
@@ -68,12 +68,8 @@ class _Builder:
             self.bodies += add_fittings(self.details, self.m, self.room, self.walls)
             self.room.detail = True
             self.room.ambient *= 0.5  # the other half bounces
-        bodies = "\n".join(body.text() for body in self.bodies)
-        shell = "\n".join(self.shell.geoms)
-        self.room.text = (
-            '<mujoco model="room">\n<compiler angle="degree"/>\n'
-            f"{self.m.palette.assets()}\n<worldbody>\n{shell}\n{bodies}\n</worldbody>\n</mujoco>\n"
-        )
+        parts = [*self.shell.geoms, *(body.text() for body in self.bodies)]
+        self.room.text = world_text("room", self.m.palette, parts)
         return self.room
 
     def _wall(self, wall: Wall) -> None:

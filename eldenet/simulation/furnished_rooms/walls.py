@@ -29,29 +29,20 @@ class Wall:
         materials: of the room.
         side: 0 to 3, see :data:`SIDES`.
         size: of the room [m].
-
-    Attributes:
-        body: the geoms.
-        length: [m].
-        taken: spans of the doors.
-        high: spans in use at eye height.
-        doorway: ``(x, width)`` of a door to keep free, or None.
-        lights: rows as in :class:`~eldenet.simulation.furnished_rooms.rooms.Room`.
-        windows: x, width, lower and upper edge [m] of each.
     """
 
     def __init__(self, draw: Draw, materials: Materials, side: int, size: tuple[float, float, float]) -> None:
         self.d, self.m, self.side = draw, materials, side
         along_x = side % 2 == 0
-        self.length, self.height = size[0] if along_x else size[1], size[2]
+        self.length, self.height = size[0] if along_x else size[1], size[2]  # [m]
         self.normal, self.along, self.yaw = SIDES[side]
         back = (size[1] if along_x else size[0]) / 2
         self.body = Body((-self.normal[0] * back, -self.normal[1] * back, 0.0), self.yaw)
-        self.taken: list[Span] = []
-        self.high: list[Span] = []
-        self.doorway: Span | None = None
-        self.lights: list[tuple[float, ...]] = []
-        self.windows: list[tuple[float, float, float, float]] = []
+        self.taken: list[Span] = []  # by doors
+        self.high: list[Span] = []  # in use at eye height
+        self.doorway: Span | None = None  # x and width of a door to keep free
+        self.lights: list[tuple[float, ...]] = []  # rows as in Room
+        self.windows: list[tuple[float, float, float, float]] = []  # x, width, lower and upper edge [m]
 
     def to_world(self, x: float, y: float) -> tuple[float, float]:
         """Return a point of the wall's frame in the room's floor coordinates."""

@@ -113,6 +113,15 @@ class Body:
         return f'<body pos="{numbers(self.position)}" euler="0 0 {number(self.yaw)}">\n{inner}\n</body>'
 
 
+def world_text(name: str, palette: "Palette", parts: Sequence[str]) -> str:
+    """Return the MJCF of a model with the materials of a palette and these bodies and geoms."""
+    inner = "\n".join(parts)
+    return (
+        f'<mujoco model="{name}">\n<compiler angle="degree"/>\n{palette.assets()}\n'
+        f"<worldbody>\n{inner}\n</worldbody>\n</mujoco>\n"
+    )
+
+
 class Palette:
     """The materials of one room; a material's number is its place in the MJCF.
 

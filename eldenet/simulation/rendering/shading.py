@@ -40,20 +40,14 @@ class Room:
 
 
 class CompiledRoom:
-    """A room in the physics engine, with the material of every geom read from the model itself.
-
-    Attributes:
-        room: lights and extents.
-        model: ``mujoco.MjModel`` of :attr:`Room.text`.
-        data: ``mujoco.MjData``; call :meth:`update` after moving a body.
-    """
+    """A room in the physics engine, with the material of every geom read from the model itself."""
 
     def __init__(self, room: Room) -> None:
         import mujoco
 
         self.room = room
         self.model: Any = mujoco.MjModel.from_xml_string(room.text)
-        self.data: Any = mujoco.MjData(self.model)
+        self.data: Any = mujoco.MjData(self.model)  # call update() after moving a body
         self.update()
         self.glows = glows(self) if room.detail and room.kind != "street" else []
 
