@@ -129,6 +129,7 @@ def predict(s: PredictSettings) -> "Results":
     from eldenet.deploy import runtimes
     from eldenet.deploy.lens import Lens
     from eldenet.deploy.prediction import Timed, find_source, predict_pictures, predict_video
+    from eldenet.deploy.stream import refuse_missing_camera
     from eldenet.deploy.viewer import RerunViewer, open_recording
     from eldenet.results.run_log import RunLog
     from eldenet.system.signals import GracefulStop
@@ -138,6 +139,8 @@ def predict(s: PredictSettings) -> "Results":
     one_of("engine", s.engine, ("auto", *runtimes.RUNTIMES))
     runtimes.check_installed(str(s.checkpoint), s.engine)
     source = find_source(s.source, Path(s.output).expanduser(), s.frames, s.topic, s.intrinsics)
+    if source.is_live:
+        refuse_missing_camera(s.source)
     origin = "given"
     if source.bag is not None and (source.bag.knows_lens or not s.lenses):
         if s.focal or s.fov:

@@ -2,6 +2,7 @@
 
 import functools
 import queue
+import sys
 import threading
 import time
 from collections import deque
@@ -281,3 +282,12 @@ def is_live(source: str | Path) -> bool:
     """Return whether the source is a camera (by any name of its device) or an address."""
     name = str(source)
     return name.startswith(("camera:", "/dev/video")) or "://" in name or Path(name).is_char_device()
+
+
+def refuse_missing_camera(source: str) -> None:
+    """Raise FileNotFoundError if a camera has no device; only Linux has a file for each."""
+    device = Path(source.replace("camera:", "/dev/video", 1))
+    if sys.platform == "linux" and "://" not in source and not device.exists():
+        raise FileNotFoundError(
+            f"source={source}: there is no {device}; give a camera's number, such as camera:0, or its device"
+        )

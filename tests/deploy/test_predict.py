@@ -306,6 +306,7 @@ def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_
         (file, source, []),
         (file, source, boxes),
         ("eldenet_rooms", tmp_path / "nothing", []),
+        ("eldenet_rooms", "camera:99", []),
     ):
         words = [f"checkpoint={checkpoint}", f"source={given}", f"output={tmp_path / 'out'}", *more]
         done = subprocess.run(

@@ -86,7 +86,7 @@ def test_an_address_is_read_live(model_folder: Path, tmp_path: Path, capsys) -> 
     (name,) = listed(tmp_path / "out")
     assert name.endswith("walk_mp4_depth.mp4")
     assert read_video(tmp_path / "out" / name)[1] == 12.0
-    with pytest.raises(ValueError, match=r"source=camera:99 cannot be opened"):
+    with pytest.raises(FileNotFoundError, match=r"source=camera:99: there is no /dev/video99"):
         run(model_folder, "camera:99", tmp_path / "none")
 
 
