@@ -23,6 +23,7 @@ from eldenet.data.bags import Bag, is_bag
 from eldenet.data.drive_poses import Mount, read_poses
 from eldenet.data.splits import check_folders
 from eldenet.geometry import check_camera_height, intrinsic_matrix
+from eldenet.system.checks import at_least
 from eldenet.system.files import sole_writer
 from eldenet.system.resources import choose_resources
 from eldenet.weights import find_checkpoint
@@ -77,8 +78,7 @@ class AdaptSettings:
             intrinsic_matrix(self.intrinsics)  # a mistake ends before torch is loaded
         if not 0 < self.minutes < math.inf:
             raise ValueError(f"minutes={self.minutes}: give a number above 0")
-        if self.frames < 1:
-            raise ValueError(f"frames={self.frames}: give a whole number above 0")
+        at_least(1, frames=self.frames)
         if pitch is not None and not -90 < pitch < 90:
             raise ValueError(
                 f"camera_pitch={pitch:g}: give degrees below the horizon, between -90 and 90, or null"

@@ -32,7 +32,7 @@ from eldenet.deploy.runtimes import PACKAGES, PRECISIONS, RUNTIMES, TORCH
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
-from eldenet.system.checks import one_of
+from eldenet.system.checks import at_least, one_of
 from eldenet.system.digests import digest_of
 from eldenet.system.extras import require
 from eldenet.system.files import safe_stem
@@ -88,9 +88,7 @@ class BenchmarkSettings:
         for name in ("batches", "threads"):
             if not all(type(count) is int and count >= 1 for count in listed(getattr(self, name))):
                 raise ValueError(f"{name}={getattr(self, name)}: give a list of whole numbers of 1 or more")
-        for name in ("rounds", "calibration"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}={getattr(self, name)}: give 1 or more")
+        at_least(1, rounds=self.rounds, calibration=self.calibration)
         if not 0 < self.seconds < math.inf:
             raise ValueError(f"seconds={self.seconds}: give a time above 0 for each turn")
         pairs = [isinstance(size, list) and [*map(type, size)] == [int, int] for size in listed(self.sizes)]

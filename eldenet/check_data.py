@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED
 from eldenet.data.splits import check_folders, same_splits
+from eldenet.system.checks import at_least
 from eldenet.system.files import write_json
 
 if TYPE_CHECKING:
@@ -37,10 +38,8 @@ class CheckDataSettings:
     output: str = "runs/check-${data.name}"
 
     def __post_init__(self) -> None:
-        for name, least in (("frames", 1), ("samples", 0)):
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise ValueError(f"{name}={value}: give a number of at least {least}, or leave it out")
+        at_least(1, frames=self.frames)
+        at_least(0, samples=self.samples)
 
 
 def check_data(s: CheckDataSettings) -> bool:

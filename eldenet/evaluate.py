@@ -13,6 +13,7 @@ from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED, listed
 from eldenet.data.splits import check_folders, split_settings
 from eldenet.deploy.runtimes import check_installed
+from eldenet.system.checks import at_least
 from eldenet.system.resources import choose_resources
 from eldenet.weights import find_checkpoint
 
@@ -45,8 +46,7 @@ class EvaluateSettings:
     output: str = "runs/evaluate-${data.name}-${now:%Y%m%d-%H%M%S}"  # folder of run.json
 
     def __post_init__(self) -> None:
-        if self.batch_size < 1:
-            raise ValueError(f"batch_size={self.batch_size}: give a whole number, 1 or more")
+        at_least(1, batch_size=self.batch_size)
         size = self.input_size
         pair = isinstance(size, list) and [type(side) for side in size] == [int, int] and min(size) >= 1
         if size not in ("model", "data") and not pair:

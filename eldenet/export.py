@@ -18,7 +18,7 @@ import eldenet
 from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED, listed
 from eldenet.geometry import resize_image, size_of_aspect
-from eldenet.system.checks import check_size, one_of
+from eldenet.system.checks import at_least, check_size, one_of
 from eldenet.system.extras import require
 from eldenet.system.files import safe_stem
 from eldenet.uncertainty import DepthEstimate
@@ -73,9 +73,7 @@ class ExportSettings:
                 f"{', '.join(PRECISIONS[self.format])}"
                 + ("; for bf16 give format=openvino" if self.precision == "bf16" else "")
             )
-        for name in ("calibration", "checks"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}={getattr(self, name)}: give the number of pictures, 1 or more")
+        at_least(1, calibration=self.calibration, checks=self.checks)
         if self.output is not None and Path(self.output).suffix != ENDINGS[self.format]:
             raise ValueError(
                 f"output={self.output}: format={self.format} needs a name that ends in {ENDINGS[self.format]}"

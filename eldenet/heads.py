@@ -19,6 +19,7 @@ class Head(Configurable, nn.Module):
     Attributes:
         channels: of the raw map.
         distribution: of the error in ln depth, "laplace" or "gaussian"; None: the head predicts no sigma.
+        lengths: arguments that grow with all depth.
 
     Args:
         min_depth: [m].
@@ -30,6 +31,7 @@ class Head(Configurable, nn.Module):
 
     channels = 1
     distribution: str | None = None
+    lengths: tuple[str, ...] = ("min_depth", "max_depth")
 
     def __init__(self, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__()
@@ -52,7 +54,7 @@ class Head(Configurable, nn.Module):
     def rescaled(self, factor: float) -> Self:
         """Return a head of the same kind whose depth is ``factor`` times this one's; so is its range."""
         settings: dict[str, Any] = {name: value for name, value in self.config.items() if name != "_target_"}
-        settings |= {name: settings[name] * factor for name in ("min_depth", "max_depth")}
+        settings |= {name: settings[name] * factor for name in self.lengths}
         return type(self)(**settings)
 
     def forward(self, raw: Tensor) -> Tensor:
@@ -98,6 +100,8 @@ class ScaledHead(Head):
         max_depth: [m].
     """
 
+    lengths = ("scale", "min_depth", "max_depth")
+
     def __init__(self, scale: float = 1.0, min_depth: float = 0.1, max_depth: float = 10.0) -> None:
         super().__init__(min_depth, max_depth)
         self.scale = float(scale)
@@ -105,10 +109,6 @@ class ScaledHead(Head):
     def to_meters(self, raw: Tensor) -> Tensor:
         """Map any real numbers ``(B, 1, H, W)`` to meters."""
         return (raw * self.scale).clamp(self.min_depth, self.max_depth)
-
-    def rescaled(self, factor: float) -> Self:
-        """Return a head whose depth, range and scale are ``factor`` times this one's."""
-        return type(self)(self.scale * factor, self.min_depth * factor, self.max_depth * factor)
 
 
 class UncertainHead(Head):

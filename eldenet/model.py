@@ -318,11 +318,6 @@ def merge_info(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]
     return {name: value for name, value in old.items() if name not in outdated} | dict(new)
 
 
-def _runs_in(folder: Path) -> list[Path]:
-    """Return the finished runs in a folder, such as that of a sweep."""
-    return sorted(path.parent.parent for path in folder.glob(f"*/model/{CONFIG_NAME}"))
-
-
 def _local_folder(source: str | Path, revision: str | None) -> Path:
     folder = Path(source)
     if folder.is_dir():
@@ -376,8 +371,10 @@ def _read_config(folder: Path) -> dict[str, Any]:
 
 def _complete(folder: Path, source: str | Path) -> Path:
     missing = [name for name in (CONFIG_NAME, WEIGHTS_NAME) if not (folder / name).is_file()]
-    if missing and (runs := _runs_in(Path(source))):
-        raise FileNotFoundError(f"{source} holds {len(runs)} runs: give one of them, such as {runs[0]}")
+    runs = sorted(Path(source).glob(f"*/model/{CONFIG_NAME}"))  # as in the folder of a sweep
+    if missing and runs:
+        run = runs[0].parent.parent
+        raise FileNotFoundError(f"{source} holds {len(runs)} runs: give one of them, such as {run}")
     if missing:
         raise FileNotFoundError(f"{source} is not an eldenet model folder: it has no {' or '.join(missing)}")
     return folder

@@ -20,7 +20,7 @@ from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.compose import FROM_CHOICE, REQUIRED, listed
 from eldenet.configurable import instantiate
 from eldenet.navigation.policy_files import POLICY, policy_files
-from eldenet.system.checks import one_of
+from eldenet.system.checks import at_least, one_of
 from eldenet.system.extras import require
 from eldenet.system.files import sole_writer, write_json, write_rows
 from eldenet.system.resources import choose_resources
@@ -84,8 +84,7 @@ class Training:
     arenas: dict[str, Any] = REQUIRED  # see eldenet/navigation/tasks.py
 
     def __post_init__(self) -> None:
-        if self.validate < 0:
-            raise ValueError(f"training.validate={self.validate}: give a number of arenas, or 0 for none")
+        at_least(0, **{"training.validate": self.validate})
 
 
 @dataclass(frozen=True)
@@ -166,10 +165,9 @@ class NavigateEvaluateSettings(DriveSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not listed(self.density) or self.episodes < 1:
-            raise ValueError(f"density={self.density}, episodes={self.episodes}: give at least one of each")
-        if self.robots < 1:
-            raise ValueError(f"robots={self.robots}: give at least 1 episode to run at once")
+        if not listed(self.density):
+            raise ValueError(f"density={self.density}: give a number of obstacles, or a list of them")
+        at_least(1, episodes=self.episodes, robots=self.robots)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from eldenet.compose import REQUIRED, listed
 from eldenet.configurable import instantiate
 from eldenet.data.bags import is_bag
 from eldenet.geometry import focal_length, intrinsic_matrix
-from eldenet.system.checks import check_size, one_of
+from eldenet.system.checks import at_least, check_size, one_of
 from eldenet.system.extras import require
 from eldenet.system.resources import choose_resources
 from eldenet.uncertainty import NO_SIGMA
@@ -96,9 +96,7 @@ class PredictSettings:
         one_of("on_error", self.on_error, ("stop", "skip"))
         if self.viewer is not None:
             one_of("viewer", self.viewer, ("rerun",))
-        for name in ("frames", "max_side"):
-            if getattr(self, name) is not None and getattr(self, name) < 1:
-                raise ValueError(f"{name}={getattr(self, name)}: give a whole number above 0")
+        at_least(1, frames=self.frames, max_side=self.max_side)
         wait = self.camera_timeout
         if wait is not None and not 0 < wait <= threading.TIMEOUT_MAX:
             raise ValueError(f"camera_timeout={wait}: give seconds above 0, or null to wait forever")

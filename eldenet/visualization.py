@@ -37,12 +37,6 @@ def color_depth(depth: np.ndarray, near: float, far: float, known: np.ndarray | 
     return _colors(1 - share, cv2.COLORMAP_TURBO, known)
 
 
-def color_error(prediction: np.ndarray, depth: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Error ``|p - g| / g`` as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is ``LARGEST_SHARE`` % and more."""
-    relative = np.abs(prediction - depth) / np.where(known, depth, 1.0)
-    return _colors(100 * relative / LARGEST_SHARE, cv2.COLORMAP_INFERNO, known)
-
-
 def _colors(share: np.ndarray, palette: int, known: np.ndarray | None) -> np.ndarray:
     """Colors ``(H, W, 3)`` uint8 RGB of shares ``(H, W)`` in [0, 1]."""
     colors = cv2.applyColorMap((255 * np.clip(share, 0, 1)).astype(np.uint8), palette)[..., ::-1].copy()
@@ -66,19 +60,22 @@ def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Ten
         guess = np.asarray(cv2.resize(guess, (width, height), interpolation=cv2.INTER_NEAREST_EXACT))
     photo = (image.permute(1, 2, 0).cpu().numpy() * 255).round().astype(np.uint8)
     photo = np.asarray(cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    near, far = np.percentile(truth[known], (2, 98)) if known.any() else (0.0, 1.0)
+    near, far = visible_range(np.where(known, truth, 0))
     panels = [
         photo,
         color_depth(truth, near, far, known),
         color_depth(guess, near, far),
-        color_error(guess, truth, known),
+        color_share(100 * np.abs(guess - truth) / np.where(known, truth, 1.0), known),
     ]
     times = max(1, round(PANEL_WIDTH / width))
     panels = [_enlarged(panel, times) for panel in panels]
-    gap = _blank(height * times, GAP)
-    panels.append(depth_scale(float(near), max(float(far), float(near) + 0.05), height * times))
-    panels.append(share_scale(height * times))
-    return np.concatenate([piece for panel in panels for piece in (panel, gap)][:-1], axis=1)
+    scales = [depth_scale(near, far, height * times), share_scale(height * times)]
+    return _joined([*panels, *scales], _blank(height * times, GAP), axis=1)
+
+
+def _joined(pieces: Sequence[np.ndarray], gap: np.ndarray, axis: int) -> np.ndarray:
+    """Pieces with a gap between any two."""
+    return np.concatenate([part for piece in pieces for part in (piece, gap)][:-1], axis)
 
 
 def _blank(height: int, width: int) -> np.ndarray:
@@ -103,15 +100,14 @@ def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = (), *, scales
     """
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
-    gap = _blank(GAP, width)
-    pieces = [piece for row in rows for piece in (row, gap)][:-1]
-    if titles:
-        strip = _blank(TITLE_HEIGHT, width)
-        panels = rows[0].shape[1] - scales * depth_scale(0.0, 1.0, rows[0].shape[0]).shape[1]
-        for number, title in enumerate(titles):
-            _write(strip, title, (number * panels // len(titles) + 3, 13), 0.42)
-        pieces.insert(0, strip)
-    return np.concatenate(pieces, axis=0)
+    picture = _joined(rows, _blank(GAP, width), axis=0)
+    if not titles:
+        return picture
+    strip = _blank(TITLE_HEIGHT, width)
+    panels = rows[0].shape[1] - scales * depth_scale(0.0, 1.0, rows[0].shape[0]).shape[1]
+    for number, title in enumerate(titles):
+        _write(strip, title, (number * panels // len(titles) + 3, 13), 0.42)
+    return np.concatenate([strip, picture])
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
@@ -129,7 +125,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> np.ndarray:
     """Image ``(H, W, 3)`` uint8 above its colored depth [m], both ``PANEL_WIDTH`` wide."""
     known = (depth > 0) & (depth <= max_depth)
-    near, far = np.percentile(depth[known], (2, 98)) if known.any() else (0.0, 1.0)
+    near, far = visible_range(np.where(known, depth, 0))
     pieces = []
     colors = color_depth(depth, near, far, known)
     for picture, way in ((image, cv2.INTER_AREA), (colors, cv2.INTER_NEAREST_EXACT)):
@@ -210,9 +206,9 @@ def share_scale(height: int) -> np.ndarray:
     return depth_scale(0.0, LARGEST_SHARE, height, unit="%", color=color_share)
 
 
-def color_share(percent: np.ndarray, *_range: float) -> np.ndarray:
+def color_share(percent: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
     """Color ``(H, W)`` [%] as ``(H, W, 3)`` uint8 RGB: dark is 0, bright is ``LARGEST_SHARE`` and more."""
-    return _colors(percent / LARGEST_SHARE, cv2.COLORMAP_INFERNO, None)
+    return _colors(percent / LARGEST_SHARE, cv2.COLORMAP_INFERNO, known)
 
 
 def _beside(
@@ -222,8 +218,7 @@ def _beside(
     factor = -(-SMALLEST_HEIGHT // photo.shape[0])
     pieces = [_enlarged(panel, factor) for panel in (photo, *panels)]
     height = pieces[0].shape[0]
-    gap = _blank(height, 4)
-    row = np.concatenate([piece for panel in pieces for piece in (panel, gap)] + [scale(height)], axis=1)
+    row = _joined([*pieces, scale(height)], _blank(height, 4), axis=1)
     return np.pad(row, ((0, row.shape[0] % 2), (0, row.shape[1] % 2), (0, 0)), constant_values=255)
 
 
@@ -233,7 +228,7 @@ def depth_scale(
     height: int,
     *,
     unit: str = "m",
-    color: Callable[[np.ndarray, float, float], np.ndarray] = color_depth,
+    color: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
     """Colors from ``near`` (top) to ``far`` beside round numbers: ``(height, w, 3)`` uint8 RGB.
 
@@ -242,7 +237,7 @@ def depth_scale(
         far: at the bottom.
         height: of the picture [px].
         unit: of both.
-        color: ``(values, near, far)`` -> colors.
+        color: values -> colors; None: those of :func:`color_depth`.
     """
     size = height / 800 + 0.2  # of the letters
     margin, bar = round(24 * size) + 2, max(10, height // 24)
@@ -254,7 +249,7 @@ def depth_scale(
     scale = _blank(height, bar + 10 + wide + 6)
     length = height - 2 * margin
     ramp = np.linspace(near, far, length)[:, None].repeat(bar, axis=1)
-    scale[margin : margin + length, :bar] = color(ramp, near, far)
+    scale[margin : margin + length, :bar] = color(ramp) if color else color_depth(ramp, near, far)
     for tick, label in zip(ticks, labels, strict=True):
         row = margin + round((tick - near) / (far - near) * (length - 1))
         cv2.line(scale, (bar, row), (bar + 5, row), (0, 0, 0), 1)

@@ -177,16 +177,7 @@ class DepthPredictor:
                 or is that of no lens (:func:`eldenet.geometry.check_intrinsics`), or what the network
                 answers is no depth.
         """
-        of_array = isinstance(frame, np.ndarray)
-        if (
-            not of_array
-            or frame.ndim != 3
-            or frame.shape[2] != 3
-            or frame.dtype != np.uint8
-            or 0 in frame.shape
-        ):
-            given = f"{frame.shape} {frame.dtype}" if of_array else type(frame).__name__
-            raise ValueError(f"frame is {given}: give the picture, (H, W, 3) uint8 RGB")
+        check_frame(frame)
         size = (frame.shape[0], frame.shape[1])
         if min(size) < LEAST_SIDE:
             raise ValueError(
@@ -244,6 +235,14 @@ class DepthPredictor:
             self._filters.camera, self._filters.steady = camera, SteadyFilter()
         steady: SteadyFilter = self._filters.steady
         return steady
+
+
+def check_frame(frame: np.ndarray) -> None:
+    """Raise ValueError unless ``frame`` is ``(H, W, 3)`` uint8."""
+    is_array = isinstance(frame, np.ndarray)
+    if not is_array or frame.shape[2:] != (3,) or frame.dtype != np.uint8 or not frame.size:
+        given = f"{frame.shape} {frame.dtype}" if is_array else type(frame).__name__
+        raise ValueError(f"frame is {given}: give the picture, (H, W, 3) uint8 RGB")
 
 
 def for_camera(

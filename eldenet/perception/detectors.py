@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
+from eldenet.deploy.predictor import check_frame
 from eldenet.geometry import from_corner
 from eldenet.perception.iou import iou_2d
 from eldenet.system.errors import some_of
@@ -33,12 +34,6 @@ class Detector(Protocol):
     def __call__(self, frame: np.ndarray) -> Detections2D:
         """Find objects in ``(H, W, 3)`` uint8 RGB."""
         ...
-
-
-def check_frame(frame: np.ndarray) -> None:
-    """Raise ValueError unless ``frame`` is ``(H, W, 3)`` uint8."""
-    if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8:
-        raise ValueError(f"frame is {frame.shape} {frame.dtype}: give (H, W, 3) uint8 RGB")
 
 
 class FixedDetections:

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
-from eldenet.perception.detectors import COCO_NAMES, check_frame
+from eldenet.deploy.predictor import check_frame
+from eldenet.perception.detectors import COCO_NAMES
 from eldenet.perception.postprocess import fit_image, select_boxes
 from eldenet.system.checks import one_of
 from eldenet.system.errors import reading, some_of

@@ -12,6 +12,13 @@ def one_of(name: str, value: Any, allowed: Collection[Any]) -> None:
         raise ValueError(f"{name}={value!r}: give one of {', '.join(map(str, allowed))}")
 
 
+def at_least(least: int, **settings: int | None) -> None:
+    """Raise ``ValueError`` if one of the settings is less; None passes."""
+    for name, value in settings.items():
+        if value is not None and value < least:
+            raise ValueError(f"{name}={value}: give a whole number, {least} or more")
+
+
 def check_size(name: str, value: Any) -> tuple[int, int] | None:
     """Return the ``(height, width)`` [px] that a setting or a file gives under ``name``; None: it gives none.
 

@@ -17,7 +17,7 @@ OPTIONS = {CUDA: {"use_tf32": "0"}}
 EXPORT_AGAIN = "fetch it or export it again"
 
 
-def read_graph(path: str | Path, advice: str = EXPORT_AGAIN) -> "onnx.ModelProto":
+def read_graph(path: str | Path) -> "onnx.ModelProto":
     """Return the content of an ONNX file; weights that it keeps in other files are not read.
 
     Raises:
@@ -27,7 +27,7 @@ def read_graph(path: str | Path, advice: str = EXPORT_AGAIN) -> "onnx.ModelProto
     require(f"reading {path}", "onnx")
     import onnx
 
-    with reading(path, "ONNX file", advice):
+    with reading(path, "ONNX file", EXPORT_AGAIN):
         return onnx.load(path, load_external_data=False)
 
 

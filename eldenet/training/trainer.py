@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +24,7 @@ from eldenet.losses.base import LossInputs, WeightedSum, masked_mean
 from eldenet.model import DepthNet
 from eldenet.results.loggers import LOGGERS
 from eldenet.results.run_log import RunLog
-from eldenet.system.checks import one_of
+from eldenet.system.checks import at_least, one_of
 from eldenet.system.files import displayed
 from eldenet.system.resources import Resources, make_accelerator, repeatable, seed_everything
 from eldenet.system.signals import GracefulStop
@@ -64,6 +65,7 @@ class TrainingData(NamedTuple):
     protocol: EvalProtocol
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class Trainer:
     """Train a :class:`DepthNet` on one device or several (``accelerate launch``, ``torchrun``).
 
@@ -101,70 +103,51 @@ class Trainer:
         loggers: names of :data:`~eldenet.results.loggers.LOGGERS`, which get the curves and pictures.
     """
 
-    _criterion: Callable[..., Any]
+    optimizer: Any  # in fit what they make, which train_step uses
+    scheduler: Any
+    epochs: int
+    patience: int | None = None
+    batch_size: int = 32
+    aspect_ratios: Sequence[float] = ()
+    accumulate_grad_batches: int = 1
+    max_grad_norm: float | None = None
+    backbone_lr_factor: float = 1.0
+    freeze: Sequence[str] = ()
+    ema_decay: float | None = None
+    channels_last: bool = True
+    sync_batchnorm: bool = False
+    monitor: str = "delta1"
+    checkpoint_every: int = 200
+    evaluate_every: int = 1
+    seed: int = 0
+    loss_camera: str = "canonical"
+    deterministic: bool | None = None
+    compile: bool = False
+    cuda_graph: bool = False
+    profile: bool = False
+    loggers: Sequence[str] = ("tensorboard",)
 
-    def __init__(
-        self,
-        *,
-        optimizer: Callable[..., torch.optim.Optimizer],
-        scheduler: Callable[..., torch.optim.lr_scheduler.LRScheduler],
-        epochs: int,
-        patience: int | None = None,
-        batch_size: int = 32,
-        aspect_ratios: Sequence[float] = (),
-        accumulate_grad_batches: int = 1,
-        max_grad_norm: float | None = None,
-        backbone_lr_factor: float = 1.0,
-        freeze: Sequence[str] = (),
-        ema_decay: float | None = None,
-        channels_last: bool = True,
-        sync_batchnorm: bool = False,
-        monitor: str = "delta1",
-        checkpoint_every: int = 200,
-        evaluate_every: int = 1,
-        seed: int = 0,
-        loss_camera: str = "canonical",
-        deterministic: bool | None = None,
-        compile: bool = False,
-        cuda_graph: bool = False,
-        profile: bool = False,
-        loggers: Sequence[str] = ("tensorboard",),
-    ) -> None:
-        self.loggers = tuple(loggers)
+    def __post_init__(self) -> None:
         for logger in self.loggers:
             one_of("logger", logger, tuple(LOGGERS))
-        one_of("loss_camera", loss_camera, ("canonical", "own"))
-        self.loss_camera = loss_camera
-        one_of("monitor", monitor, METRICS)
-        counts = {"epochs": epochs, "batch_size": batch_size, "evaluate_every": evaluate_every}
-        counts |= {"accumulate_grad_batches": accumulate_grad_batches, "checkpoint_every": checkpoint_every}
-        for name, value in (counts | ({} if patience is None else {"patience": patience})).items():
-            if value < 1:
-                raise ValueError(f"{name}={value}: give a whole number, 1 or more")
-        if max_grad_norm is not None and not max_grad_norm > 0:
-            raise ValueError(f"max_grad_norm={max_grad_norm}: give a number above 0, or null for no clipping")
-        if seed < 0:
-            raise ValueError(f"seed={seed}: give 0 or more")
-        if cuda_graph and (profile or accumulate_grad_batches > 1):
+        one_of("loss_camera", self.loss_camera, ("canonical", "own"))
+        one_of("monitor", self.monitor, METRICS)
+        at_least(1, epochs=self.epochs, patience=self.patience, evaluate_every=self.evaluate_every)
+        at_least(1, batch_size=self.batch_size, accumulate_grad_batches=self.accumulate_grad_batches)
+        at_least(1, checkpoint_every=self.checkpoint_every)
+        if self.max_grad_norm is not None and not self.max_grad_norm > 0:
+            raise ValueError(
+                f"max_grad_norm={self.max_grad_norm}: give a number above 0, or null for no clipping"
+            )
+        if self.cuda_graph and (self.profile or self.accumulate_grad_batches > 1):
             raise ValueError(
                 "trainer.cuda_graph=true replays an update as one piece: it needs accumulate_grad_batches=1 "
                 "and profile=false"
             )
-        if not all(0.2 <= ratio <= 5 for ratio in aspect_ratios):
-            raise ValueError(f"aspect_ratios={list(aspect_ratios)}: give width / height, 0.2 to 5")
-        self.make_optimizer, self.make_scheduler = optimizer, scheduler
-        self.aspect_ratios = list(aspect_ratios)
-        self.patience, self.freeze = patience, list(freeze)
-        self.deterministic, self.compile = deterministic, compile
-        self.cuda_graph, self.profile = cuda_graph, profile
-        self.epochs, self.batch_size, self.accumulate_grad_batches = (
-            epochs,
-            batch_size,
-            accumulate_grad_batches,
-        )
-        self.max_grad_norm, self.ema_decay, self.channels_last = max_grad_norm, ema_decay, channels_last
-        self.monitor, self.checkpoint_every, self.evaluate_every = monitor, checkpoint_every, evaluate_every
-        self.seed, self.backbone_lr_factor, self.sync_batchnorm = seed, backbone_lr_factor, sync_batchnorm
+        if not all(0.2 <= ratio <= 5 for ratio in self.aspect_ratios):
+            raise ValueError(f"aspect_ratios={list(self.aspect_ratios)}: give width / height, 0.2 to 5")
+        self.make_optimizer, self.make_scheduler = self.optimizer, self.scheduler
+        self._criterion: Callable[..., Any]  # the loss, compiled or not
 
     def fit(
         self,
@@ -416,10 +399,12 @@ class Trainer:
         self._network = torch.compile(self.model) if self.compile else self.model
         self._criterion = self.loss
         # without accelerate's autocast, which would stay on in validation; train_step has its own
-        self.bare_model = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
+        self.bare_model: DepthNet = self.accelerator.unwrap_model(self.model, keep_fp32_wrapper=False)
         self.scheduler = self.make_scheduler(optimizer, self.epochs * steps_per_epoch, steps_per_epoch)
-        self.average = None if self.ema_decay is None else WeightAverage(model, self.ema_decay)
-        self.progress = Progress()
+        self.average: WeightAverage | None = (
+            None if self.ema_decay is None else WeightAverage(model, self.ema_decay)
+        )
+        self.progress: Progress = Progress()
         self.state = TrainingState(
             model=model,
             ema=None if self.average is None else self.average.model,
@@ -454,7 +439,7 @@ class Trainer:
         self.times = Profile(folder, device) if self.profile and self.accelerator.is_main_process else None
         self.meter = LossMeter(self.progress.sums, eager=device.type == "cpu")
         # an epoch's points lie at its last step: a resumed run keeps them
-        self.log = RunLog(
+        self.log: RunLog = RunLog(
             folder,
             quiet=not self.accelerator.is_main_process,
             first_step=self.progress.step + 1,

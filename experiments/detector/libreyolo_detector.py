@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.boxes import BoxStyle, Detections2D
-from eldenet.perception.detectors import check_frame
+from eldenet.deploy.predictor import check_frame
 from eldenet.perception.postprocess import fit_image, select_boxes
 from eldenet.system.checks import one_of
 from eldenet.system.files import read_yaml

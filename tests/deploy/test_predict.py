@@ -177,7 +177,7 @@ def test_an_unreadable_picture_stops_the_command_or_is_listed(
         (["formats=[jpeg]"], "depth, color, ply"),
         (["formats=[]"], "formats is empty"),
         (["on_error=ignore"], "stop, skip"),
-        (["frames=0"], "frames=0: give a whole number above 0"),
+        (["frames=0"], "frames=0: give a whole number, 1 or more"),
         (["fov=wide"], "fov=wide: give a number or null"),
         (["sharp=maybe"], "sharp=maybe: give true or false"),
         (["camera_timeout=nan"], "camera_timeout=nan: give seconds above 0, or null"),

@@ -64,7 +64,7 @@ def test_planners_have_no_checkpoint_and_paper_policies_set_their_observer():
     (["mode=fly"], "error: mode=fly: choose from evaluate, record, train\n"),
     (["density=[5,20]"], "records one arena"),
     (["video=avi"], "video='avi': give one of gif, webp, mp4"),
-    (["mode=evaluate", "episodes=0"], "episodes=0: give at least one"),
+    (["mode=evaluate", "episodes=0"], "episodes=0: give a whole number, 1 or more"),
     (["goal=gps", "density=5", "physics=kinematic"], "give one of known, fixes, odometry"),
     (["checkpoint=none.safetensors"], "no policy at none.safetensors"),
     (["sensor=noisy", "sensor.scale=0.2"], "memory=0.8: measured errors replace these"),
