@@ -212,7 +212,8 @@ def _notes(study: Study, members: Sequence[Member], latencies: Latencies | None,
     """The protocol, the machines and the statistics behind the numbers."""
     runs = [run for member in members for run in member.runs]
     if not runs:
-        return ["no run is stored yet"]
+        stored = any(member.outdated for member in members)
+        return ["the stored runs are outdated, see above" if stored else "no run is stored yet"]
     refuse_mixtures(runs, costs=False)
     sizes = sorted({(run["cost"]["height"], run["cost"]["width"]) for run in runs})
     inputs = ", ".join(f"{height} x {width}" for height, width in sizes)

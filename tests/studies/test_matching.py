@@ -24,8 +24,9 @@ def test_runs_with_settings_of_an_older_plan_are_not_shown(study: Study, tmp_pat
     assert rows["large"]["seeds"].startswith("outdated: loss")
     assert rows["large"]["δ1 ↑"] == "-"
     assert rows["small"]["seeds"] == "1 of 3"
-    rows = table(write_plan(tmp_path, "epochs=3", "epochs=4"))
-    assert rows["small"]["seeds"] == "outdated: trainer.epochs=4 (there 3)"
+    changed = write_plan(tmp_path, "epochs=3", "epochs=4")
+    assert table(changed)["small"]["seeds"] == "outdated: trainer.epochs=4 (there 3)"
+    assert notes(changed) == ["the stored runs are outdated, see above"]
 
 
 def test_runs_from_other_weights_are_not_shown(study: Study, tmp_path: Path) -> None:
