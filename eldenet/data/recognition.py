@@ -328,9 +328,10 @@ def _describe(
         else:
             turns = [{"rotate_depth": 90}, {"rotate_depth": 270}]
             found.facts.append("depth is turned by 90 degrees; which way, the contact sheet shows")
-    if not same_aspect(size, INPUT_SIZE):
-        height, width = size_of_aspect(INPUT_SIZE, (size[0], size[1]))
-        settings["input_size"] = f"[{32 * round(height / 32)},{32 * round(width / 32)}]"
+    seen = size_of_aspect(INPUT_SIZE, (size[0], size[1]))
+    if seen != INPUT_SIZE or seen[0] > size[0]:  # small pictures are not enlarged
+        tiles = [max(1, min(round(n / 32), most // 32)) for n, most in zip(seen, size, strict=True)]
+        settings["input_size"] = f"[{32 * tiles[0]},{32 * tiles[1]}]"
     stated = stated_scale(folder / settings["csv"]) if "csv" in settings else None
     units = _units(raws, stated)
     if len(units) == 1 and known and stated is None:

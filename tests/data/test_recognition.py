@@ -84,7 +84,8 @@ def test_one_frame_is_a_recording(tmp_path: Path) -> None:
     recordings.depth(tmp_path / "depths/a.png", 4, SIZE)
     recordings.picture(tmp_path / "preview.png", 4)
     (found,) = recognize(tmp_path)
-    assert found.readings[0].settings[2:] == ("data.images=images", "data.depths=depths")
+    settings = found.readings[0].settings[2:]
+    assert settings == ("data.images=images", "data.depths=depths", "data.input_size=[32,64]")
 
 
 @pytest.mark.parametrize("tree", ["{part}/{kind}", "{kind}/{part}", "{part}/hall/{kind}"])
@@ -170,16 +171,25 @@ def test_a_list_with_a_wrong_line_is_explained(tmp_path: Path) -> None:
     assert by_time.readings
 
 
-def test_far_depth_and_another_aspect_are_in_the_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("size", "input_size"),
+    [((360, 640), "[192,384]"), ((100, 178), "[96,160]"), ((120, 160), "[96,160]"), ((480, 640), "")],
+)
+def test_far_depth_and_another_size_are_in_the_line(
+    size: tuple[int, int], input_size: str, tmp_path: Path
+) -> None:
+    """Pictures of another aspect than the default input size have their own; small ones are not enlarged."""
     for i in range(3):
         for folder, picture in (
-            ("a", np.zeros((36, 64, 3), np.uint8)),
-            ("b", np.full((36, 64), 20_000, np.uint16)),
+            ("a", np.zeros((*size, 3), np.uint8)),
+            ("b", np.full(size, 20_000, np.uint16)),
         ):
             (tmp_path / folder).mkdir(exist_ok=True)
             cv2.imwrite(str(tmp_path / folder / f"{i}.png"), picture)
     (found,) = recognize(tmp_path)
-    assert found.readings[0].line.endswith("'data.input_size=[192,384]' data.max_depth=20")
+    line = found.readings[0].line
+    assert line.endswith(f" 'data.input_size={input_size}'" * bool(input_size) + " data.max_depth=20")
+    assert ("input_size" in line) == bool(input_size)
 
 
 def test_the_command_takes_a_folder_alone(tmp_path: Path, run_command) -> None:
