@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from datetime import datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -232,12 +233,20 @@ if not OmegaConf.has_resolver("now"):  # Hydra's own, which is there in its appl
         return datetime.now().strftime(pattern)
 
 
+@lru_cache
+def _parts_of(model: str, sources: tuple[str, ...]) -> dict[str, str | None]:
+    """Return the YAML files of a model's parts, found in our folder and ``sources``, of its own choice."""
+    return choices("zoo", [f"model={model}"])
+
+
 @resolver("network_name")
 def _network_name(*, _root_: DictConfig) -> str:
-    """``${network_name:}``: the chosen model; backbone and decoder where the command line replaces one."""
+    """``${network_name:}``: the chosen model, or its backbone and decoder where one is replaced."""
     hydra_config = _root_.hydra if "hydra" in _root_ else HydraConfig.get()
-    taken, parts = hydra_config.runtime.choices, ("model/backbone", "model/decoder")
-    if any(word.partition("=")[0].lstrip("+") in parts for word in hydra_config.overrides.task):
+    taken = hydra_config.runtime.choices
+    own = _parts_of(str(taken["model"]), tuple(added_sources()))
+    parts = [group for group in ("model/backbone", "model/decoder") if group in taken]
+    if any(taken[part] != own.get(part) for part in parts):
         return "_".join(str(taken[part]) for part in parts)
     return str(taken["model"])
 
