@@ -31,6 +31,11 @@ SLIPS = 5  # periods in a row in which the view stays though it cannot: a camera
 STANDS = 0.001  # motion of a pose that stands [m], [rad]
 LAG = 1.0  # time for which a robot that is told to drive may stand, beyond the latency [s]
 TOLD, TOLD_TURN = 0.1, 0.2  # what it was told meanwhile, at least [m], [rad]
+COMPARED, FEWEST = 25, 6  # periods in which it was told to drive that are compared with the odometry
+OTHER_UNIT = 10.0  # factor between told and measured motion
+SLUGGISH = 6  # periods by which wheels that slip, or a latency that nobody told, delay a turn
+TOLD_FAR, OPPOSITE, AGREES = 2.0, -0.7, 0.3  # turns that were told [rad]; correlations with those measured
+ALONG = 0.5  # of the way: a robot that drives moves at least so much along its heading
 TILT = math.radians(4.0)  # by which the floor may be off its level [rad]
 SCALE = 1.25  # factor by which the floor may be off its height
 FLOORS = 5  # floors that must agree; the median counts
@@ -60,6 +65,24 @@ class Look(NamedTuple):
     latency: float
 
 
+class Move(NamedTuple):
+    """What a robot was told in one period, way [m] and turn [rad], and what its odometry did.
+
+    Attributes:
+        told: way, 0 or more.
+        told_turn: counter-clockwise.
+        way: that it drove.
+        ahead: part of the way along its heading, negative where it moves the other way than told.
+        turned: difference of the headings, not wrapped.
+    """
+
+    told: float
+    told_turn: float
+    way: float
+    ahead: float
+    turned: float
+
+
 class Watch:
     """Stops one robot by what it is given, period by period.
 
@@ -84,6 +107,9 @@ class Watch:
         self._still: tuple[Look, np.ndarray | None] | None = None  # the first look with the present view
         self._stood: np.ndarray | None = None  # where the odometry stands
         self._told = np.zeros(3)  # way [m], turn [rad] and time [s] that it was told to drive since
+        self._last: np.ndarray | None = None  # pose one period ago
+        self._moves: deque[Move] = deque(maxlen=COMPARED)
+        self._contrary: str | None = None
         self._floors: deque[Floor] = deque(maxlen=FLOORS)
         self._nearest = math.inf
         self._goal = np.full(2, math.nan)
@@ -97,6 +123,7 @@ class Watch:
             self.covered(look),
             self.frozen_camera(look),
             self.frozen_odometry(look, sent),
+            self.contrary_odometry(look, sent),
             self.slipping(look),
             self.floor(look),
         )
@@ -143,8 +170,7 @@ class Watch:
         if self._stood is None or max(motion(self._stood, look.pose)) > STANDS:
             self._stood, self._told = look.pose, np.zeros(3)
             return None
-        late = math.ceil(look.latency / ROBOT.period - 1e-9)
-        speed, turn = sent[-1 - late] if len(sent) > late else (0.0, 0.0)
+        speed, turn = _executed(look, sent)
         if speed or turn:
             self._told += np.array([abs(speed), abs(turn), 1.0]) * ROBOT.period
         way, turned, seconds = self._told
@@ -154,6 +180,19 @@ class Watch:
             f"the odometry stands though the robot was told to drive for {seconds:.1f} s: frozen, or the "
             "motors are off; reset() once that is over"
         )
+
+    def contrary_odometry(self, look: Look, sent: Sequence[tuple[float, float]]) -> str | None:
+        """Odometry that moves otherwise than the robot was told: a sign, order or unit; :meth:`reset`."""
+        before, self._last = self._last, look.pose
+        speed, turn = _executed(look, sent)
+        if self._contrary is None and before is not None and (abs(speed) >= TOLD or abs(turn) >= TOLD_TURN):
+            dx, dy, turned = look.pose - before
+            middle = before[2] + math.remainder(turned, math.tau) / 2
+            ahead = math.copysign(1.0, speed) * (dx * math.cos(middle) + dy * math.sin(middle))
+            told, told_turn = abs(speed) * ROBOT.period, turn * ROBOT.period
+            self._moves.append(Move(told, told_turn, math.hypot(dx, dy), ahead, turned))
+            self._contrary = contradiction(self._moves)
+        return self._contrary
 
     def slipping(self, look: Look) -> str | None:
         """A view that stays as it is, but for noise, though the odometry moves so that it cannot."""
@@ -221,6 +260,47 @@ class Watch:
         if len(places) == self._places.maxlen and np.ptp(places, axis=0).max() < STUCK_WAY:
             return f"the robot has not left its place for {STUCK_TIME:g} s: nothing is free ahead"
         return None
+
+
+def _executed(look: Look, sent: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Speed [m/s] and turn rate [rad/s] that the robot executed in the last period."""
+    late = math.ceil(look.latency / ROBOT.period - 1e-9)
+    return sent[-1 - late] if len(sent) > late else (0.0, 0.0)
+
+
+def contradiction(moves: Sequence[Move]) -> str | None:
+    """What is wrong with odometry that contradicts the commands; None: nothing, or too little was driven."""
+    told, told_turn, way, ahead, turned = np.array(moves).T
+    wrapped = np.abs(np.abs(turned) - math.tau) < 0.5  # from pi to -pi
+    turned = np.where(wrapped, turned - np.copysign(math.tau, turned), turned)
+    after = "; reset() once that is mended"
+    driven = (told >= TOLD * ROBOT.period) & (way > TOLD * ROBOT.period)
+    if driven.sum() >= FEWEST:
+        if (factor := np.median(way[driven] / told[driven])) > OTHER_UNIT:
+            return f"the odometry moves {factor:.0f} times as far as the robot was told: give meters{after}"
+        if (share := np.median(ahead[driven] / way[driven])) < ALONG:
+            angle = math.degrees(math.acos(max(share, -1.0)))
+            return (
+                f"the odometry moves {angle:.0f} degrees off its heading: give x, y [m], heading [rad] in "
+                f"this order, heading 0 along x, counter-clockwise toward y{after}"
+            )
+    turning = np.abs(told_turn) >= TOLD_TURN * ROBOT.period
+    factor = np.median(np.abs(turned[turning] / told_turn[turning])) if turning.sum() >= FEWEST else 0.0
+    if factor > OTHER_UNIT:
+        return f"the odometry turns {factor:.0f} times as far as the robot was told: give radians{after}"
+    if len(moves) == COMPARED and np.abs(told_turn).sum() >= TOLD_FAR:
+        agree = [_alike(told_turn[: COMPARED - late], turned[late:]) for late in range(SLUGGISH + 1)]
+        if min(agree[:2]) < OPPOSITE and max(agree) < AGREES:
+            return (
+                "the odometry turns the other way than the robot was told: heading and turn rate are "
+                f"counter-clockwise{after}"
+            )
+    return None
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> float:
+    """Correlation of turns ``(N,)`` about 0."""
+    return float(one @ other / max(math.sqrt((one @ one) * (other @ other)), 1e-9))
 
 
 def absurd(depth: np.ndarray, goal: np.ndarray, pose: np.ndarray) -> str | None:

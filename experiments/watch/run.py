@@ -106,9 +106,24 @@ ANYWHERE: dict[str, Fault] = {
     "slipping wheels": lambda now, then: now,  # see drive
     "data 1 s old": lambda now, then: replace(now, stamp=now.stamp - 1.0),
 }
+
+
+def told(change: Callable[[float, float, float], tuple[float, float, float]]) -> Fault:
+    """Odometry of another sign, order or unit from the start; the goal's bearing is right."""
+    return lambda now, then: replace(now, odometry=change(*now.odometry))
+
+
+CONTRARY: dict[str, Fault] = {
+    "heading clockwise": told(lambda x, y, heading: (x, y, -heading)),
+    "y and heading to the right": told(lambda x, y, heading: (x, -y, -heading)),
+    "heading in degrees": told(lambda x, y, heading: (x, y, math.degrees(heading))),
+    "x and y swapped": told(lambda x, y, heading: (y, x, heading)),
+    "odometry in mm": told(lambda x, y, heading: (1000 * x, 1000 * y, heading)),
+}
 FAULTS: dict[str, dict[str, Fault]] = {
     "ranges": {
         **ANYWHERE,
+        **CONTRARY,
         "all -inf": lambda now, then: replace(now, depth=np.full(ROBOT.columns, -np.inf)),
         "all 1e-9 m": lambda now, then: replace(now, depth=np.full(ROBOT.columns, 1e-9)),
         "goal at 1e300 m": lambda now, then: replace(now, goal=(1e300, 0.0)),
@@ -139,6 +154,7 @@ MOUNTS = {
     "roll 5 degrees": (0.0, math.radians(5), ROBOT.camera_height),
     "height 0.25 m, told 0.40": (0.0, 0.0, 0.25),
 }
+AT_ONCE = ("none", "closed goal", *MOUNTS, *CONTRARY)
 LEVEL = (0.0, 0.0, ROBOT.camera_height)
 #: Faults of level.py, for every sensor with a picture.
 UNLEVEL: dict[str, Fault] = {
@@ -228,7 +244,7 @@ def drive(sensor: str, name: str, fault: str, world: int, leveled: bool | None =
     episodes = Episodes(1, drift, EpisodeSettings("wheels", time_limit=limit))
     episodes.start(0, arena, (7, world))
     began = ROBOT.period * int(np.random.default_rng([7, world]).integers(15, 40))
-    began = 0.0 if leveled is not None or fault in ("none", "closed goal", *MOUNTS) else began
+    began = 0.0 if leveled is not None or fault in AT_ONCE else began
     driver.leveler = Leveler() if leveled else None
     change = FAULTS[sensor][fault] if leveled is None else UNLEVEL[fault]
     eye = Eye(sensor, arena, MOUNTS.get(fault, LEVEL), world)
@@ -338,8 +354,9 @@ def write(folder: Path, rows: Sequence[Row]) -> None:
         "# What the watch notices",
         "",
         f"Drives in test arenas, half with 80 obstacles, half with rooms; {environment()['date']}. A fault "
-        "begins after 3 to 8 s (a mount's or a closed goal's: at once). Seconds are from then to the stop, "
-        "median and greatest. False: drives that the watch stopped without a fault, or before it.",
+        "begins after 3 to 8 s (a mount's, a closed goal's, odometry's sign, order or unit: at once). "
+        "Seconds are from then to the stop, median and greatest. False: drives that the watch stopped "
+        "without a fault, or before it.",
         "",
         "| sensor | driver | fault | noticed | median [s] | greatest [s] | false |",
         "|---|---|---|---:|---:|---:|---:|",

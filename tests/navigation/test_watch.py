@@ -176,6 +176,39 @@ def test_odometry_that_stands_stops_a_robot_that_is_told_to_drive(make):
     assert driver.step(FREE, GOAL, tuple(kept["odometry"]))[0] > 0
 
 
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        (lambda x, y, heading: (x, y, heading), None),
+        (lambda x, y, heading: (1000 * x, 1000 * y, heading), "moves 99. times as far .*: give meters"),
+        (lambda x, y, heading: (y, x, heading), "moves .* off its heading: give x, y .m., heading .rad."),
+        (
+            lambda x, y, heading: (x, -y, -heading),
+            "turns the other way .*: heading and turn rate are counter",
+        ),
+        (
+            lambda x, y, heading: (0.01 * x, 0.01 * y, math.degrees(heading)),
+            "turns 5. times .*: give radians",
+        ),
+    ],
+)
+def test_odometry_of_another_sign_order_or_unit_stops_it(wrong, reason):
+    """The robot does what it is told: it turns to a goal beside it and drives there, and back."""
+    driver, rng, pose = Navigator.load(), np.random.default_rng(0), (0.0, 0.0, 0.0)
+    for number in range(60):
+        left = math.remainder(
+            math.atan2(6.0 - pose[1], -pose[0]) - pose[2] + math.pi * (number > 30), math.tau
+        )
+        given = rng.uniform(4, 6, ROBOT.columns)
+        pose = arc(*pose, *driver.step(given, (6.0, left), wrong(*pose)), ROBOT.period)
+    stopped = driver.stop_reason
+    if reason is None:
+        assert stopped is None
+    else:
+        with pytest.raises(ValueError, match=rf"^the odometry {reason}.*; reset\(\)"):
+            raise ValueError(stopped)
+
+
 def test_a_latency_delays_what_the_odometry_must_show():
     driver = Navigator.load()
     for number in range(8):
@@ -314,10 +347,10 @@ def test_a_planner_gives_up_a_goal_that_its_map_closes_in(evidence, seconds):
 def test_a_driver_alone_gives_up_where_it_comes_no_nearer():
     driver, rng = Navigator.load(), np.random.default_rng(0)
     for number in range(400):
-        angle = 0.05 * number
-        pose = (2 * math.cos(angle), 2 * math.sin(angle), angle + math.pi / 2)
-        bearing = math.remainder(math.atan2(-pose[1], 9 - pose[0]) - pose[2], math.tau)
-        driver.step(rng.uniform(3, 6, ROBOT.columns), (math.hypot(9 - pose[0], pose[1]), bearing), pose)
+        leg, along = divmod(0.1 * number, 2.0)  # to and fro, the goal is beside it
+        x, heading = (2.0 - along, math.pi) if leg % 2 else (along, 0.0)
+        bearing = math.remainder(math.atan2(9.0, -x) - heading, math.tau)
+        driver.step(rng.uniform(3, 6, ROBOT.columns), (math.hypot(9.0, x), bearing), (x, 0.0, heading))
         if driver.stop_reason:
             break
     assert driver.stop_reason == "30 m driven without coming nearer to the goal: unreachable, or a dead end"
