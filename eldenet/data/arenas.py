@@ -16,4 +16,4 @@ class Arenas(RenderedScenes):
     generator = Generator(
         "arenas", 1, "eldenet.simulation.arena_view.render_arena", {(96, 128): "0223d0934865"}
     )
-    detailed = generator._replace(digests={}, detail=True)
+    detailed = generator._replace(digests={}, options={"detail": True})

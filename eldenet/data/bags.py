@@ -38,9 +38,6 @@ class Bag:
             lens that bends straight lines are then straightened, unless ``rect`` in their topic says that
             they are.
 
-    Attributes:
-        pictures: how many there are.
-
     Raises:
         FileNotFoundError: there is no such bag.
         ValueError: it cannot be read, has no such topic or several, or a lens that is none.
@@ -59,7 +56,7 @@ class Bag:
             pictures = [each for each in pictures if self._has_colors(each)] or pictures
             pictures = [each for each in pictures if _raw(each) == each or _raw(each) not in pictures]
         self._pictures = self._chosen("pictures", pictures, topic, "topic")
-        self.pictures = counts[self._pictures]
+        self.pictures = counts[self._pictures]  # how many there are
         self._straighten: Callable[[np.ndarray], np.ndarray] = lambda picture: picture
         self._lens = self._read_lens() if intrinsics is None else intrinsic_matrix(intrinsics)
 

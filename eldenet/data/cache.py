@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
 from eldenet.data.paths import default_cache
 from eldenet.system.digests import digest_of, file_digest
+from eldenet.system.errors import warn_once
 from eldenet.system.files import write_text
 from eldenet.types import Frame
 
@@ -69,7 +70,7 @@ class FrameCache(FrameStore):
     def __init__(self, path: Path, count: int, slot: int) -> None:
         super().__init__(path, count, slot)
         self._stamps: dict[int, bytes] = {}
-        self._warned: set[str] = set()
+        self._full = False
 
     def frame(
         self, index: int, name: str, files: Callable[[int], Sequence[Path]], read: Callable[[int], Frame]
@@ -85,21 +86,21 @@ class FrameCache(FrameStore):
         if frame is None:
             frame = read(index)
             # if the files changed while they were read, or since, the next process reads them again
-            if "full" not in self._warned and self._stamp(name, files, index) == stamp:
+            if not self._full and self._stamp(name, files, index) == stamp:
                 self._keep(index, stamp, frame)
         return frame
 
     def _keep(self, index: int, stamp: bytes, frame: Frame) -> None:
         try:
             if not self.put(index, stamp, frame):
-                self._warn(
-                    "large", f"{frame.name} is larger than the first frame: frames like it are not cached"
-                )
+                warn_once(f"{self.path}: frames that are larger than the first frame are not cached")
         except OSError as error:
-            self._warn(
-                "full",
-                f"the frame cache {self.path} is full ({error}): all other frames are read "
-                "from their files; free some space, or set $ELDENET_CACHE to another folder",
+            self._full = True
+            _LOG.warning(
+                "the frame cache %s is full (%s): all other frames are read from their files; free some "
+                "space, or set $ELDENET_CACHE to another folder",
+                self.path,
+                error,
             )
 
     def _stamp(self, name: str, files: Callable[[int], Sequence[Path]], index: int) -> bytes:
@@ -108,11 +109,6 @@ class FrameCache(FrameStore):
             found = os.stat(file)
             state.append(f"{file}|{found.st_size}|{found.st_mtime_ns}|{found.st_ctime_ns}")
         return make_stamp(*state)
-
-    def _warn(self, what: str, message: str) -> None:
-        if what not in self._warned:
-            self._warned.add(what)
-            _LOG.warning("%s", message)
 
 
 def _slot_bytes(dataset: "DepthDataset") -> int:

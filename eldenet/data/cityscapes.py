@@ -59,10 +59,6 @@ class Cityscapes(FileDataset):
         val_cities: cities of the official training part that are for validation.
         labels: also read ``gtFine``'s 19 classes, for errors by class: True, False, or "auto" if they exist.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
-
-    Raises:
-        FileNotFoundError: files are missing.
-        ValueError: the split or a city is unknown.
     """
 
     depth_range = STREET_RANGE
@@ -182,10 +178,6 @@ class CityscapesMTAN(FileDataset):
         labels: also read ``label`` (or ``label_19``, ``label_7``), for errors by class: True, False, or
             "auto" if they exist. The set does not name its classes.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
-
-    Raises:
-        FileNotFoundError: files are missing.
-        ValueError: the split is unknown, or ``val_frames`` leaves no training frame.
     """
 
     depth_range = STREET_RANGE

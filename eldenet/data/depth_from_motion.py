@@ -56,17 +56,11 @@ class Points(NamedTuple):
 
 @dataclass(frozen=True)
 class MotionDepth:
-    """Finds depth along a drive.
+    """Finds depth along a drive."""
 
-    Args:
-        intrinsics: ``(3, 3)`` of the pictures that are given [px].
-        size: ``(height, width)`` of these [px].
-        floor: height of the camera above a world's floor at z = 0 [m]; None: the floor is not known.
-    """
-
-    intrinsics: np.ndarray
-    size: tuple[int, int]
-    floor: float | None = None
+    intrinsics: np.ndarray  # (3, 3) of the pictures that are given [px]
+    size: tuple[int, int]  # (height, width) of these [px]
+    floor: float | None = None  # height of the camera above a world's floor at z = 0 [m]; None: not known
 
     @property
     def seen_size(self) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -119,8 +120,7 @@ def read_poses(path: Path, mount: Mount = Mount()) -> DrivePoses:  # noqa: B008 
     table = read_table(path, numbers)
     if len(table) < 2:
         raise ValueError(f"{path} has {len(table)} poses: give one for each picture, or for each 0.1 s")
-    values = np.array([[_number(row[name], name, path, line) for name in numbers]
-                       for line, row in enumerate(table, 2)])  # fmt: skip
+    values = _values(path, [[row[name] for name in numbers] for row in table], numbers, first=2)
     seconds = values[:, -1] if with_times else None
     if seconds is not None:
         _check_order(path, seconds)
@@ -144,8 +144,7 @@ def _tum_poses(path: Path, lines: list[list[str]], mount: Mount) -> DrivePoses:
     from scipy.spatial.transform import Rotation
 
     _refuse_mount(path, mount)
-    values = np.array([[_number(cell, name, path, number) for cell, name in zip(line, TUM, strict=True)]
-                       for number, line in enumerate(lines, 1)])  # fmt: skip
+    values = _values(path, lines, TUM, first=1)
     if np.abs(np.linalg.norm(values[:, 4:], axis=1) - 1).max() > 0.01:
         raise ValueError(f"{path}: qx, qy, qz, qw are no unit quaternions: give time tx ty tz qx qy qz qw")
     _check_order(path, values[:, 0])
@@ -166,14 +165,18 @@ def _check_order(path: Path, seconds: np.ndarray) -> None:
         raise ValueError(f"{path}: seconds do not increase after {seconds[back[0]]:g}: sort the rows by time")
 
 
-def _number(text: str, column: str, path: Path, line: int) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{path}, line {line}: {column} is {text[:40]!r}: give a finite number")
-    return value
+def _values(path: Path, rows: Sequence[Sequence[str]], columns: Sequence[str], first: int) -> np.ndarray:
+    """Numbers ``(rows, columns)``; the file's line ``first`` is the first row."""
+    values = np.full((len(rows), len(columns)), math.nan)
+    for line, row in enumerate(rows):
+        for place, text in enumerate(row):
+            with suppress(ValueError):
+                values[line, place] = float(text)
+            if not math.isfinite(values[line, place]):
+                raise ValueError(
+                    f"{path}, line {line + first}: {columns[place]} is {text[:40]!r}: give a finite number"
+                )
+    return values
 
 
 def _on_robot(pose: np.ndarray, mount: Mount) -> np.ndarray:

@@ -28,12 +28,6 @@ class EpochSampler(Sampler[list[SampleKey]]):
         rank: of this process.
         processes: how many train together.
         aspect_ratios: width / height of batches; each draws one, and its keys are ``(epoch, index, aspect)``.
-
-    Attributes:
-        epoch: of the next pass.
-        start: first batch to yield, so that a resumed epoch continues where it stopped.
-        left_out: frames that an epoch does not show, others in each.
-        smallest_batch: frames in a process's smallest batch.
     """
 
     def __init__(
@@ -49,12 +43,15 @@ class EpochSampler(Sampler[list[SampleKey]]):
         self.length, self.batch_size, self.seed = length, batch_size, seed
         self.aspect_ratios = aspect_ratios
         self.rank, self.processes = rank, processes
-        self.epoch, self.start = 0, 0
+        self.epoch, self.start = (
+            0,
+            0,
+        )  # of the next pass; first batch, where a resumed one continues
         # drop a smaller last batch, whose step would be noisier, unless an epoch has few batches
         together = batch_size * processes
         whole, rest = divmod(length, together)
         self.batches = whole + 1 if rest and whole < FEW_BATCHES else whole
-        self.left_out = max(0, length - self.batches * together)
+        self.left_out = max(0, length - self.batches * together)  # frames not shown, others in each epoch
         self.smallest_batch = batch_size if self.left_out else (length % batch_size or batch_size)
 
     def __len__(self) -> int:

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -45,12 +45,6 @@ class RenderedScenes(DepthDataset):
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
             0 to ``generator.farthest``.
 
-    Attributes:
-        generator: what renders the frames; a subclass names it.
-        detailed: what renders them with ``detail``; it has its own versions.
-        default_size: ``(height, width)`` of its frames [px].
-        any_lens: whether ``focal`` may be given.
-
     Raises:
         ValueError: an argument is out of its range.
         RuntimeError: a render process failed.
@@ -59,10 +53,10 @@ class RenderedScenes(DepthDataset):
     ground_truth = "dense"
     depth_range = (0.1, 10.0)
     frame_lists = ("names", "places")
-    default_size = (128, 160)
-    any_lens = True
-    generator: Generator
-    detailed: Generator
+    default_size = (128, 160)  # (height, width) of the frames [px]
+    any_lens = True  # whether focal may be given
+    generator: Generator  # renders the frames
+    detailed: Generator  # renders them with detail; it has its own versions
 
     def __init__(
         self,
@@ -83,18 +77,21 @@ class RenderedScenes(DepthDataset):
         self.artifacts = None
         if depth_camera:  # found by its name, like the renderer: simulation lies above data
             self.artifacts = import_module("eldenet.simulation.depth_camera").StereoArtifacts()
-        if focal is not None and not self.any_lens:
-            raise ValueError(f"focal={list(focal)}: the camera of {self.generator.name} has one lens")
         shares = {"near": near, "down": down, "plain": plain}
-        given = ", ".join(f"{name}={share:g}" for name, share in shares.items() if share)
+        extra: dict[str, Any] = {name: float(share) for name, share in shares.items() if share}
+        given = ", ".join(f"{name}={share:g}" for name, share in extra.items())
         if given and self.generator.name != "rooms":
             raise ValueError(f"{given}: {self.generator.name} has no such frames; rooms has")
         if not (min(shares.values()) >= 0 and near + down <= 1 and plain <= 1):
             raise ValueError(f"{given}: give shares from 0 to 1, near and down together at most 1")
+        if focal is not None:
+            if not self.any_lens:
+                raise ValueError(f"focal={list(focal)}: the camera of {self.generator.name} has one lens")
+            if len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5:
+                raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
+            extra["focal"] = (float(focal[0]), float(focal[1]))
         chosen = self.detailed if detail else self.generator
-        self.generator = chosen.with_focal(focal)._replace(
-            near=float(near), down=float(down), plain=float(plain)
-        )
+        self.generator = chosen._replace(options={**chosen.options, **extra})
         size = self.default_size if size is None else size
         one_of("split", split, SPLITS)
         if len(size) != 2 or min(size) < 16 or max(size) > 2048:

@@ -10,7 +10,8 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,6 @@ from eldenet.types import Frame
 DEPTH_STEP = 0.0002
 #: Frames of each scene.
 VIEWS = 8
-#: What a rendered data set may show more of: shares of its frames or rooms.
-SHARES = ("near", "down", "plain")
 FULL_DISK = 28  # exit code of a worker, as ENOSPC
 
 
@@ -41,43 +40,25 @@ class Generator(NamedTuple):
     # by (height, width), a suffix of the folder's name: results stored before versions existed know their
     # frames by it
     digests: Mapping[tuple[int, int], str]
-    # range of focal lengths [widths] that is given to the renderer; None: the renderer's own
-    focal: tuple[float, float] | None = None
     depth_step: float = DEPTH_STEP  # stored depth is a multiple of this [m]
-    detail: bool = False  # passed on to the renderer where it is true
-    near: float = 0.0  # share of frames of what is close; the same
-    down: float = 0.0  # share of frames that look down; the same
-    plain: float = 0.0  # share of rooms without patterns; the same
+    # keywords that the renderer is given: detail, near, down, plain, focal, in this order
+    options: Mapping[str, Any] = MappingProxyType({})
 
     @property
     def farthest(self) -> int:
         """The farthest depth that a stored frame holds, in whole meters."""
         return int(65535 * self.depth_step)
 
-    def with_focal(self, focal: Sequence[float] | None) -> "Generator":
-        """Same scenes through lenses of ``[low, high]`` widths; None: the renderer's own lens.
-
-        Raises:
-            ValueError: not two numbers from 0.2 to 5, the lower one first.
-        """
-        if focal is None:
-            return self
-        if len(focal) != 2 or not 0.2 <= focal[0] <= focal[1] <= 5:
-            raise ValueError(f"focal={list(focal)}: give [low, high] in widths, from 0.2 to 5")
-        return self._replace(focal=(float(focal[0]), float(focal[1])))
-
     def folder_name(self, size: tuple[int, int]) -> str:
         """Name of the folder that holds the frames of ``(height, width)`` [px]."""
-        name = (
-            self.name
-            + "-detail" * self.detail
-            + "".join(f"-{name}{share:g}" for name in SHARES if (share := getattr(self, name)))
-        )
-        if self.focal is not None:
-            low, high = self.focal
-            return f"{name}-v{self.version}-{size[0]}x{size[1]}-focal-{low:g}-{high:g}"
+        options = dict(self.options)
+        focal = options.pop("focal", None)
+        words = [name if value is True else f"{name}{value:g}" for name, value in options.items()]
+        name = f"{'-'.join([self.name, *words])}-v{self.version}-{size[0]}x{size[1]}"
+        if focal is not None:
+            return f"{name}-focal-{focal[0]:g}-{focal[1]:g}"
         digest = self.digests.get(size)
-        return f"{name}-v{self.version}-{size[0]}x{size[1]}" + (f"-{digest}" if digest else "")
+        return f"{name}-{digest}" if digest else name
 
 
 def encode_depth(depth: np.ndarray, depth_step: float = DEPTH_STEP) -> np.ndarray:
@@ -117,9 +98,8 @@ class SceneStore:
 
     def _render(self, generator: Generator, scene: int) -> None:
         module, _, function = generator.renderer.rpartition(".")
-        options: dict[str, object] = {} if generator.focal is None else {"focal": generator.focal}
-        options |= {name: value for name in ("detail", *SHARES) if (value := getattr(generator, name))}
-        views = getattr(import_module(module), function)(self.split, scene, self.size, VIEWS, **options)
+        render = getattr(import_module(module), function)
+        views = render(self.split, scene, self.size, VIEWS, **generator.options)
         step = generator.depth_step
         meters = encode_depth(views.depth, step).astype(np.float32) * np.float32(step)
         for view in range(VIEWS):
@@ -153,7 +133,8 @@ def render_missing(
                 store.render(generator, scene)
                 bar.advance(VIEWS)
             return
-        worker = generator._replace(digests={})  # which JSON cannot hold, and no renderer needs
+        # JSON cannot hold the digests, which no renderer needs
+        worker = generator._replace(digests={}, options=dict(generator.options))
         job = {"folder": str(folder), "generator": worker._asdict(), "split": split, "size": size}
         shares = [scenes[k::workers] for k in range(min(workers, len(scenes)))]
         _render_in_processes([{**job, "scenes": list(share)} for share in shares], bar.advance)

@@ -17,25 +17,16 @@ class ResizeCrop:
     Example: FastDepth scores 640x480 frames at ``resize=250 / 480, crop=(228, 304), size=(224, 224)``.
 
     Convention: see :func:`~eldenet.geometry.crop_corner` for where a crop starts.
-
-    Args:
-        box: ``(top, bottom, left, right)`` of the part to keep [px], ends excluded; None for all.
-        resize: factor, or ``(height, width)`` [px], or None for none. A factor rounds the size down, as
-            sparse-to-dense does.
-        crop: ``(height, width)`` of the part to keep [px], or None for all.
-        anchor: of the crop: "center", or "bottom" for the lowest rows, centered horizontally.
-        size: ``(height, width)`` of a last resize, after the crop [px], or None for none.
-        sparse: depth consists of single points: a resize keeps each one, the nearest if several meet.
-        keep_depth: leave depth whole, because the prediction will be pasted into the frame; only for a crop.
     """
 
-    box: Sequence[int] | None = None
+    box: Sequence[int] | None = None  # (top, bottom, left, right) of the part to keep [px], ends excluded
+    # factor, which rounds the size down as sparse-to-dense does, or (height, width) [px]
     resize: float | Sequence[int] | None = None
-    crop: Sequence[int] | None = None
-    anchor: str = "center"
-    size: Sequence[int] | None = None
-    sparse: bool = False
-    keep_depth: bool = False
+    crop: Sequence[int] | None = None  # (height, width) of the part to keep [px]
+    anchor: str = "center"  # of the crop: "center", or "bottom" for the lowest rows, centered horizontally
+    size: Sequence[int] | None = None  # (height, width) of a last resize, after the crop [px]
+    sparse: bool = False  # depth is single points: a resize keeps each one, the nearest if several meet
+    keep_depth: bool = False  # depth stays whole: the prediction will be pasted into the frame; for a crop
 
     def __call__(self, frame: Frame, generator: np.random.Generator | None = None) -> Frame:
         """Transform one frame; nothing here is random.

@@ -51,9 +51,6 @@ class ArenaView:
         size: of the image, ``(height, width)`` [px].
         light: brightness of the lamps, as a share of a normal day's: 0.05 is dusk, 3 is glaring.
         detail: obstacles are furniture and people, with doors, windows, cables and light that bounces.
-
-    Attributes:
-        intrinsics: ``(3, 3)`` [px], of the robot's field of view.
     """
 
     def __init__(

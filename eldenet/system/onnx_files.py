@@ -64,6 +64,9 @@ def open_session(path: str | Path, providers: Sequence[str] = (CPU,), *, threads
             f"{', '.join(providers)}: this ONNX Runtime has {', '.join(available)} (CUDA and TensorRT need "
             "onnxruntime-gpu)"
         )
+    # behind them those that run what they cannot
+    cuda = [CUDA] if usable[0] == TENSORRT and CUDA in available else []
+    chosen = dict.fromkeys([*usable, *cuda, CPU])
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
@@ -72,7 +75,7 @@ def open_session(path: str | Path, providers: Sequence[str] = (CPU,), *, threads
         session = onnxruntime.InferenceSession(
             str(path),
             options,
-            providers=[(name, OPTIONS.get(name, {})) for name in _with_rest(usable, available)],
+            providers=[(name, OPTIONS.get(name, {})) for name in chosen],
         )
     if session.get_providers()[0] != usable[0]:  # it falls back silently
         raise ValueError(f"ONNX Runtime has {usable[0]} but cannot start it: is its driver installed?")
@@ -81,9 +84,3 @@ def open_session(path: str | Path, providers: Sequence[str] = (CPU,), *, threads
             f"{path} runs on {usable[0]}: {providers[0]} is not installed on this machine", stacklevel=3
         )
     return session
-
-
-def _with_rest(providers: Sequence[str], available: Sequence[str]) -> list[str]:
-    """Return providers, followed by those that run what they cannot."""
-    cuda = [CUDA] if providers[0] == TENSORRT and CUDA in available else []
-    return list(dict.fromkeys([*providers, *cuda, CPU]))

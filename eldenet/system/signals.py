@@ -28,15 +28,11 @@ class GracefulStop:
 
     Signals that are ignored stay ignored (``nohup``). Outside the main thread, which alone receives signals,
     it does nothing.
-
-    Attributes:
-        signal: that arrived, or None.
-        wake: called when it arrives, to end what waits.
     """
 
     def __init__(self) -> None:
-        self.signal: signal.Signals | None = None
-        self.wake: Callable[[], None] = lambda: None
+        self.signal: signal.Signals | None = None  # that arrived
+        self.wake: Callable[[], None] = lambda: None  # called when it arrives, to end what waits
         self._handlers: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:

@@ -46,13 +46,9 @@ def time_interleaved(
 
 
 class Waiting:
-    """``with Waiting() as waiting``: how much longer a block took than processors worked for it.
+    """``with Waiting() as waiting``: how much longer a block took than processors worked for it."""
 
-    Attributes:
-        ratio: time on the clock over that of the processors; about 1 or less where no other job ran.
-    """
-
-    ratio = 1.0
+    ratio = 1.0  # time on the clock over that of the processors; about 1 or less where no other job ran
 
     def __enter__(self) -> Self:
         self._clock, self._worked = time.perf_counter(), time.process_time()

@@ -356,9 +356,6 @@ class Atlas:
     """All patterns with their image pyramids, sampled bilinearly.
 
     The level follows the pixel's footprint, so distant tiles turn gray instead of sparkling.
-
-    Attributes:
-        planes: ``(3, T)`` uint8 weights, 200 = 1.0; level by level, pattern by pattern, row by row.
     """
 
     UNIT = np.float32(1 / 200)
@@ -378,6 +375,7 @@ class Atlas:
         self.count = len(first)
         starts = np.cumsum([0] + [lv.shape[0] * lv.shape[1] * lv.shape[2] for lv in levels[:-1]])
         self.starts = starts.astype(np.int32)
+        # (3, T) uint8 weights, 200 = 1.0; level by level, pattern by pattern, row by row
         self.planes = np.ascontiguousarray(np.concatenate([lv.reshape(-1, 3) for lv in levels]).T)
 
     def sample(self, pattern: np.ndarray, u: np.ndarray, v: np.ndarray, footprint: np.ndarray) -> np.ndarray:
