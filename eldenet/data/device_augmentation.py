@@ -90,10 +90,7 @@ def sampling_matrix(
 ) -> np.ndarray:
     """Return where each pixel comes from, ``(2, 3)`` in torch's coordinates (-1 to 1 between pixel centers).
 
-    Args:
-        matrix: ``(2, 3)``, how the frame moves [px].
-        frame_size: ``(height, width)`` of the frame [px].
-        sample_size: ``(height, width)`` to which it was resized [px].
+    ``matrix (2, 3)`` is how the frame of ``frame_size`` moves [px]; it was resized to ``sample_size`` [px].
     """
     if np.array_equal(matrix, IDENTITY):
         return matrix
@@ -108,12 +105,8 @@ def sampling_matrix(
 def leave_out_idle(plan: Mapping[str, Tensor]) -> dict[str, Any]:
     """Leave out of a batch's plan what changes none of its frames: a device cannot know without waiting.
 
-    Args:
-        plan: ``matrix (B, 2, 3)``, ``color (B, 6, 7)``, and what is always needed.
-
-    Returns:
-        The plan with ``color`` as a list of stages ``(B, 7)``, and ``shifts``: of each, whether it shifts
-        hue, saturation or value.
+    Of ``matrix (B, 2, 3)``, ``color (B, 6, 7)`` and what is always needed, the plan keeps ``color`` as a list
+    of stages ``(B, 7)``, and gets ``shifts``: of each stage, whether it shifts hue, saturation or value.
     """
     kept: dict[str, Any] = {name: value for name, value in plan.items() if name not in ("matrix", "color")}
     if not bool((plan["matrix"] == torch.from_numpy(IDENTITY)).all()):

@@ -90,13 +90,10 @@ class DrivePoses:
 
 
 def read_poses(path: Path, mount: Mount = Mount()) -> DrivePoses:  # noqa: B008 - immutable
-    """Read a CSV file of poses, or camera poses in TUM's format, as SLAM writes them.
+    """Read a CSV file of poses in the order of time, or camera poses in TUM's format, as SLAM writes them.
 
     Convention: x ahead, y left, heading counter-clockwise (REP 103); cameras x right, y down, z forward.
-
-    Args:
-        path: of the file: rows in the order of time.
-        mount: of the camera, for poses of a robot's base.
+    Poses of a robot's base need the camera's ``mount``.
 
     Raises:
         FileNotFoundError: there is no such file.

@@ -213,14 +213,9 @@ class FolderDataset(FileDataset):
 
 
 def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -> tuple[list[int], list[int]]:
-    """Return the numbers of frames for validation, and of those beside them that belong to neither part.
+    """Return the numbers of ``count`` frames for validation, and of those beside them that are in no part.
 
-    Args:
-        count: of all frames, in the order of time.
-        fraction: share of the blocks for validation.
-        blocks: into which the frames are cut.
-        gap: frames left out on each side of a validation block.
-        seed: decides which blocks are for validation.
+    Frames are in the order of time; the settings are those of :class:`FolderDataset`.
 
     Raises:
         ValueError: the settings are out of range, or there is one frame.

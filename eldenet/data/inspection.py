@@ -163,11 +163,8 @@ def check_split(
 ) -> SplitCheck:
     """Read a split without augmentation and note what it holds; no fault stops it.
 
-    Args:
-        split: its name, for reports.
-        dataset: built with ``on_error="skip"``, so that missing files are noted and raise no error.
-        frames: read at most this many, evenly spread; None reads all.
-        advance: called with 1 per frame, for a progress bar.
+    ``dataset`` is built with ``on_error="skip"``, so that missing files are noted and raise no error.
+    ``frames`` is that of :func:`check_splits`; ``advance`` is called with 1 per frame.
     """
     found = SplitCheck(
         split, list(dataset.names), identities(dataset), dataset.split_hash, dict(dataset.skipped)

@@ -72,11 +72,8 @@ def is_drive(name: str) -> bool:
 def depth_maps(root: Path, kind: str, parts: Sequence[str], cameras: Sequence[int]) -> dict[Place, Path]:
     """Find the devkit's depth maps below ``root``, however its zip files were unpacked.
 
-    Args:
-        root: with or without ``data_depth_annotated`` or ``data_depth_velodyne``.
-        kind: "groundtruth" or "velodyne_raw".
-        parts: "train" and "val", or "" for drives that are in neither.
-        cameras: 2 and 3.
+    ``kind`` is "groundtruth" or "velodyne_raw"; ``parts`` are "train" and "val", or "" for drives that are in
+    neither.
 
     Raises:
         ValueError: a map is in two places.

@@ -161,9 +161,7 @@ def check_inside(pairs: Sequence[tuple[str, str]], source: Path, advice: str) ->
 def csv_pairs(table: Path, *, allow_outside: bool | None = None) -> list[tuple[str, str]]:
     """Read lines ``image,depth`` of a CSV without a header; empty lines are skipped.
 
-    Args:
-        table: the CSV.
-        allow_outside: whether files may lie outside the data set's folder; None: no, and there is no setting.
+    ``allow_outside``: whether files may lie outside the data set's folder; None: no, and no setting says it.
     """
     pairs = []
     text = read_text(table, "fetch or write the list of frames again")

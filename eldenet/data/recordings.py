@@ -81,9 +81,7 @@ class Layout:
     def frames(self, root: Path, *, strict: bool) -> dict[str, RecordedFrame]:
         """Find all frames, by their names.
 
-        Args:
-            root: the data set's folder.
-            strict: False lists a missing file as ``name.*``, for who leaves such frames out.
+        Without ``strict``, a missing file is listed as ``name.*``, for who leaves such frames out.
 
         Raises:
             FileNotFoundError: files are missing, or have no partner.

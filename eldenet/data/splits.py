@@ -47,9 +47,8 @@ def hold_out(names: Sequence[str], split: str) -> list[int]:
     place = {one: _place(one) for one in scenes}
     if len(place) == 1:
         raise ValueError(
-            f"all {len(names)} frames come from the scene {scenes[0]!r}, so none can be held out: use "
-            "the split "
-            "that takes every frame"
+            f"all {len(names)} frames come from the scene {scenes[0]!r}, so none can be held out: use the "
+            "split that takes every frame"
         )
     chosen = {one for one in place if place[one] < VAL_SHARE}
     if place and not chosen:

@@ -94,16 +94,11 @@ def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[
 
 
 def two_level_interval(mine: np.ndarray, other: np.ndarray, scenes: np.ndarray) -> tuple[float, float]:
-    """Interval of the mean difference over drawn runs and drawn scenes.
+    """Interval of the mean difference of scores ``(runs, images)`` over drawn runs and drawn scenes.
 
-    A draw takes as many runs of each row as it has, and as many scenes as there are, with replacement; all
-    runs share the scenes. Draws are counts of runs and scenes, so that a mean is a product:
-    (runs drawn) x scores x (images drawn).
-
-    Args:
-        mine: ``(runs, images)`` of one row.
-        other: ``(runs, images)`` of the other.
-        scenes: ``(images,)``, of each image.
+    A draw takes as many runs of each row as it has, and as many of the images' ``scenes (images,)`` as there
+    are, with replacement; all runs share the scenes. Draws are counts of runs and scenes, so that a mean is a
+    product: (runs drawn) x scores x (images drawn).
     """
     scene, sizes = np.unique(scenes, return_inverse=True, return_counts=True)[1:]
     rng = np.random.default_rng(0)

@@ -21,12 +21,6 @@ WHEEL_RADIUS, WHEEL_TRACK = 0.10, 0.42  # [m]
 FRICTION = 1.1  # between wheels and floor
 TIMESTEP = 0.005  # of the wheels' physics [s]
 
-# The chassis reaches down to 6 cm, so that nothing slips under it; it turns around the center of the axle.
-_CHASSIS = (
-    '<geom name="chassis" type="box" pos="0 0 {z}" size="{half}" '
-    'contype="0" conaffinity="1" group="5" mass="6"/>'
-)
-
 
 def arena_mjcf(
     arena: Arena,
@@ -126,16 +120,20 @@ def _geom(
     return f'<geom type="{kind}" pos="{numbers(center)}" size="{numbers(size)}"{turn} {bits}{material}/>'
 
 
-def _chassis(low: float, size: float) -> str:
-    half = (size * ROBOT.length / 2, size * ROBOT.width / 2, (ROBOT.height - low) / 2)
-    return _CHASSIS.format(z=number((ROBOT.height + low) / 2), half=numbers(half))
+def _chassis(size: float) -> str:
+    """Return a box down to 6 cm, so that nothing slips under it; it turns around the center of the axle."""
+    half = (size * ROBOT.length / 2, size * ROBOT.width / 2, (ROBOT.height - 0.06) / 2)
+    return (
+        f'<geom name="chassis" type="box" pos="0 0 {number((ROBOT.height + 0.06) / 2)}" '
+        f'size="{numbers(half)}" contype="0" conaffinity="1" group="5" mass="6"/>'
+    )
 
 
 def _planar(size: float) -> str:
     """Return two slides and a hinge: ``qpos`` is the pose."""
     return (
         '<body name="robot"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
-        f'<joint type="hinge" axis="0 0 1"/>{_chassis(0.06, size)}</body>'
+        f'<joint type="hinge" axis="0 0 1"/>{_chassis(size)}</body>'
     )
 
 
@@ -160,7 +158,7 @@ def _wheels(size: float, friction: float) -> str:
         f'<geom type="box" pos="{number(-0.15 * size)} 0 0.12" size="0.1 0.15 0.04" '
         'contype="0" conaffinity="0" group="5" mass="14"/>'
     )
-    return f'<body name="robot"><freejoint/>{_chassis(0.06, size)}{battery}{caster}{wheels}</body>'
+    return f'<body name="robot"><freejoint/>{_chassis(size)}{battery}{caster}{wheels}</body>'
 
 
 # A speed controller on each wheel, with the torque of a 90 W motor behind a gear [N m].

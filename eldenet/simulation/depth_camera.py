@@ -48,8 +48,7 @@ class StereoArtifacts(NamedTuple):
 def occluded(disparity: np.ndarray) -> np.ndarray:
     """Pixels ``(H, W)`` of the left camera that the right one does not see.
 
-    Args:
-        disparity: ``(H, W)`` [px]; column ``x`` of the left picture is column ``x - disparity`` of the right.
+    Column ``x`` of the left picture is column ``x - disparity`` of the right; ``disparity (H, W)`` [px].
     """
     at = np.arange(disparity.shape[1]) - disparity
     # leftmost of this pixel and those right of it

@@ -19,13 +19,8 @@ Path = tuple[tuple[float, float], ...]
 def draw_walk(draw: Draw, start: tuple[float, float, float], side: float) -> tuple[Path, float]:
     """Draw a closed path and a speed: back and forth, or around three to five corners.
 
-    Args:
-        draw: source of the random numbers.
-        start: x, y [m], heading [rad] of the robot, from which the path's first corner keeps away.
-        side: of the arena [m].
-
-    Returns:
-        The corners [m] and the speed [m/s].
+    Returns the corners [m] and the speed [m/s]. The first corner keeps away from ``start``, x, y [m] and
+    heading [rad] of the robot; ``side`` is the arena's [m].
     """
     limit = side / 2 - 1.0
     back_and_forth = draw.chance(0.5)

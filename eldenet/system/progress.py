@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -25,8 +25,9 @@ def progress_bar(
     console: Console, title: str, total: int, done: int = 0, unit: str = "img"
 ) -> Iterator["Bar"]:
     """A progress bar over ``total`` images or other units (0: unknown), from ``done`` on."""
+    bar = Bar(console, title, total, done, unit)
     if console.quiet or not console.is_terminal:
-        yield Bar(console, title, total, done, None, unit)
+        yield bar
         return
     columns = (
         TextColumn("{task.description}"),
@@ -36,24 +37,19 @@ def progress_bar(
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, transient=True) as progress:
-        yield Bar(console, title, total, done, progress, unit)
+        task = progress.add_task(title, total=total or None, completed=done, note="")
+        bar.show = lambda note: progress.update(task, completed=bar.done, note=note)
+        yield bar
 
 
 class Bar:
     """Counts images or other units; shows their rate and a note."""
 
-    def __init__(
-        self, console: Console, title: str, total: int, done: int, progress: Progress | None, unit: str
-    ) -> None:
+    def __init__(self, console: Console, title: str, total: int, done: int, unit: str) -> None:
         self.console, self.title, self.total, self.done, self.unit = console, title, total, done, unit
-        self.progress = progress
         self.started = self.last_line = time.monotonic()
         self.first = done
-        self.task = (
-            None
-            if progress is None
-            else progress.add_task(title, total=total or None, completed=done, note="")
-        )
+        self.show: Callable[[str], None] = self._print_line
 
     @property
     def rate(self) -> float:
@@ -64,10 +60,10 @@ class Bar:
         """Count ``images`` more."""
         self.done += images
         digits = 0 if self.rate >= 10 else 2
-        text = f"{self.rate:.{digits}f} {self.unit}/s  {note}"
-        if self.progress is not None and self.task is not None:
-            self.progress.update(self.task, completed=self.done, note=text)
-        elif time.monotonic() - self.last_line > LINE_EVERY_S:
+        self.show(f"{self.rate:.{digits}f} {self.unit}/s  {note}")
+
+    def _print_line(self, text: str) -> None:
+        if time.monotonic() - self.last_line > LINE_EVERY_S:
             self.last_line = time.monotonic()
             of, left = f"/{self.total}" if self.total else "", ""
             if self.total > self.done:  # 0 for a camera; a video's header may say too little

@@ -2,7 +2,8 @@
 
 Convention: the camera frame is OpenCV's (x right, y down, z forward), pixel centers lie on whole numbers
 (see :mod:`eldenet.geometry`); ``rotation`` is world-from-camera, so its columns are the camera's right,
-down and forward in world coordinates, and ``position`` is the optical center in the world [m].
+down and forward in world coordinates, and ``position`` is the optical center in the world [m]. ``model`` and
+``data`` are MuJoCo's, with up-to-date kinematics (``mj_forward`` or ``mj_kinematics``).
 """
 
 from collections.abc import Iterator
@@ -49,14 +50,7 @@ class RayCamera:
         self._quarters, self._windows = self._split(x, y.ravel())
 
     def cast(self, model: Any, data: Any, position: np.ndarray, rotation: np.ndarray) -> Hits:
-        """Send one ray per pixel.
-
-        Args:
-            model: ``mujoco.MjModel``.
-            data: ``mujoco.MjData`` with up-to-date kinematics (``mj_forward`` or ``mj_kinematics``).
-            position: ``(3,)`` optical center in the world [m].
-            rotation: ``(3, 3)`` world from camera.
-        """
+        """Send one ray per pixel."""
         rotation = np.asarray(rotation, dtype=np.float64)
         rays = self.rays(rotation)
         geom = np.empty(len(rays), np.int32)
@@ -153,14 +147,8 @@ def visible_geoms(
 
     Casting each quarter of the image against its own geoms is exact, and a third faster in a furnished
     room: ``mj_multiRay`` tests every ray against every body's bounding sphere. A geom is out of view when
-    its bounding box lies wholly beyond one side of the window's pyramid.
-
-    Args:
-        model: ``mujoco.MjModel``.
-        data: ``mujoco.MjData`` with kinematics.
-        position: ``(3,)`` camera center [m].
-        rotation: ``(3, 3)`` world from camera.
-        windows: ``(T, 4)`` bounds x0, x1, y0, y1 of each window on the image plane at distance 1.
+    its bounding box lies wholly beyond one side of the window's pyramid. ``windows (T, 4)`` are the bounds
+    x0, x1, y0, y1 of each on the image plane at distance 1.
     """
     axes = data.geom_xmat.reshape(-1, 3, 3)
     center = data.geom_xpos + np.einsum("gij,gj->gi", axes, model.geom_aabb[:, :3])
@@ -182,13 +170,9 @@ def visible_geoms(
 
 @contextmanager
 def only_visible(model: Any, seen: np.ndarray) -> Iterator[None]:
-    """Hide all other geoms from rays cast with :data:`SEEN_GROUPS`; restore the model afterwards.
+    """Hide all geoms but ``seen (G,)`` from rays cast with :data:`SEEN_GROUPS`; restore the model afterwards.
 
     Not thread-safe: the model changes meanwhile.
-
-    Args:
-        model: ``mujoco.MjModel``.
-        seen: ``(G,)`` bool.
     """
     groups, counts, trees = model.geom_group.copy(), model.body_geomnum.copy(), model.body_bvhadr.copy()
     bodies = np.zeros(model.nbody, dtype=bool)

@@ -79,13 +79,7 @@ class CompiledRoom:
     def photograph(
         self, camera: RayCamera, position: np.ndarray, rotation: np.ndarray
     ) -> tuple[np.ndarray, Hits]:
-        """Return the light that reaches a camera, linear RGB ``(H, W, 3)`` float32, and its rays' hits.
-
-        Args:
-            camera: size and lens.
-            position: ``(3,)`` optical center in the room [m].
-            rotation: ``(3, 3)`` world from camera.
-        """
+        """Return the light that reaches a camera, linear RGB ``(H, W, 3)`` float32, and its rays' hits."""
         hits = camera.cast(self.model, self.data, position, rotation)
         point, normal = hits.point, hits.normal
         depth = hits.depth.astype(np.float32)
