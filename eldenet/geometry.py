@@ -107,7 +107,6 @@ def check_intrinsics(intrinsics: np.ndarray, size: tuple[int, int], *, inside: b
 
     Args:
         intrinsics: as :func:`intrinsic_matrix` returns them.
-        size: of the pictures.
         inside: whether the principal point must lie in the picture; False where it does not count.
 
     Raises:
@@ -148,7 +147,6 @@ def check_focal(focal: float, size: tuple[int, int], name: str, hint: str = "") 
 
     Args:
         focal: finite and above 0.
-        size: of the picture.
         name: of what was given, for the message.
         hint: what else may be wrong, instead of the unit.
 
@@ -516,7 +514,6 @@ def in_meters(depth: "Tensor", focal: "float | Tensor | None", canonical_px: flo
     """Return meters of canonical depth ``(B, 1, H, W)``: times ``focal / canonical_px``.
 
     Args:
-        depth: canonical depth.
         focal: fx [px of the network's image], a number or ``(B,)``; 0, NaN and None: the canonical camera's.
         canonical_px: focal length of the canonical camera [px]; None: ``depth`` is in meters already.
     """

@@ -30,10 +30,7 @@ class ConvNormAct(nn.Sequential):
     "same" padding of a strided convolution differs by up to one pixel.
 
     Args:
-        in_channels: channels in.
-        out_channels: channels out.
         kernel_size: odd.
-        stride: of the convolution.
         groups: ``in_channels`` makes it depthwise.
         activation: class of the activation; ``nn.Identity`` for none.
     """
@@ -95,10 +92,7 @@ class DepthwiseSeparable(nn.Sequential):
     A normalization and an activation follow both convolutions, as in MobileNetV1 and PP-LCNet.
 
     Args:
-        in_channels: channels in.
-        out_channels: channels out.
         kernel_size: of the depthwise convolution, odd.
-        stride: of the depthwise convolution.
         squeeze_excite: apply :class:`SqueezeExcite` between the convolutions.
         shortcut: add the input to the output if their shapes are equal; the papers' networks do not.
         activation: class of both activations.

@@ -135,7 +135,6 @@ class DepthNet(Configurable, nn.Module):
         """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W.
 
         Args:
-            image: RGB.
             focal: fx [px of ``image``], a number or ``(B,)``; 0, NaN and None stand for the canonical camera.
                 Ignored without ``canonical_focal``.
             with_spread: return depth and the standard deviation of ln depth ``(B, 1, H, W)``.

@@ -78,7 +78,6 @@ def train(s: TrainSettings, overrides: Sequence[str] = ()) -> float:
     """Train, score the best epoch and record it; with ``ckpt_path="auto"`` a finished run is left as it is.
 
     Args:
-        s: the settings; ``s.output`` is the run folder.
         overrides: of the command line, such as ``loss=l1``; rows of a sweep are named by them.
 
     Returns:

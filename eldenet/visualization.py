@@ -233,10 +233,6 @@ def depth_scale(
     """Colors from ``near`` (top) to ``far`` beside round numbers: ``(height, w, 3)`` uint8 RGB.
 
     Args:
-        near: at the top.
-        far: at the bottom.
-        height: of the picture [px].
-        unit: of both.
         color: values -> colors; None: those of :func:`color_depth`.
     """
     size = height / 800 + 0.2  # of the letters

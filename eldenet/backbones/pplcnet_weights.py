@@ -23,10 +23,8 @@ def load_pplcnet_weights(module: nn.Module, pretrained: bool | str, scale: float
     """Load weights into a :class:`~eldenet.backbones.pplcnet.PPLCNet`, without those of a classifier's head.
 
     Args:
-        module: the backbone.
         pretrained: ``True`` for timm's ImageNet weights of this scale, their name, or a local file:
             safetensors or a state dict, with our names or timm's.
-        scale: of the backbone.
 
     Raises:
         ValueError: no such weights, or they do not fit.

@@ -25,8 +25,6 @@ class Residual(nn.Module):
     ``(B, in_channels, H, W) -> (B, out_channels, ceil(H / stride), ceil(W / stride))``
 
     Args:
-        in_channels: channels in.
-        out_channels: channels out.
         stride: of the first 3x3 convolution.
         bottleneck: 1x1, 3x3 and 1x1 convolutions, the first two with half of ``out_channels``.
     """

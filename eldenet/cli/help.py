@@ -137,10 +137,6 @@ def advice(config_name: str, words: Sequence[str]) -> str:
     """Return one line on the override that made a command fail, or "" if none did.
 
     A setting that a plus adds must be a group, or something that a part takes.
-
-    Args:
-        config_name: of the command's YAML file.
-        words: of the command line.
     """
     options, _ = get_args_parser().parse_known_args([word for word in words if word not in SHOWING])
     sources = [] if options.config_dir is None else [f"file://{os.path.abspath(options.config_dir)}"]
@@ -175,12 +171,7 @@ def advice(config_name: str, words: Sequence[str]) -> str:
 
 
 def wrong_option(config_name: str, fault: str) -> str:
-    """Return one line on an option that does not exist, such as ``--epochs=3``.
-
-    Args:
-        config_name: of the command's YAML file.
-        fault: in argparse's words.
-    """
+    """Return one line on an option that does not exist, such as ``--epochs=3``; ``fault`` is argparse's."""
     option = fault.partition("unrecognized arguments: ")[2].partition(" ")[0]
     key = option.lstrip("-").partition("=")[0]
     known = _settings(config_name, [])

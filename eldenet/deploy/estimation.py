@@ -92,7 +92,6 @@ class PictureDepth:
         """Write the files that ``eldenet predict`` writes, and return them. Older ones are replaced.
 
         Args:
-            folder: of the files; it is created.
             formats: any of "depth" (16-bit PNG [mm], 0 = unknown), "color" (as :meth:`plot`), "ply" (a point
                 cloud [m]) and "sigma".
 

@@ -97,7 +97,6 @@ def merge_upconv(weight: Tensor, bias: Tensor | None, activation: nn.Module | No
     Args:
         weight: ``(out, in, 5, 5)``.
         bias: ``(out,)`` or None.
-        activation: runs before the shuffle.
     """
     out_channels, in_channels = weight.shape[:2]
     kernels = weight.new_zeros(out_channels, 4, in_channels, 3, 3)

@@ -41,8 +41,6 @@ def describe(
     """Metadata of an exported file: model, units, license, input, and what the weights were trained on.
 
     Args:
-        model: the exported network.
-        name: of the model.
         size: ``(height, width)`` that the network sees [px].
         camera_size: ``(height, width)`` of the frames that the file takes [px]; None: it takes images.
         license: of the weights; None: the one in the model's ``info``.

@@ -47,7 +47,6 @@ def write_onnx(
 
     Args:
         model: is not changed.
-        path: of the file, ``.onnx``.
         size: ``(height, width)`` that the network sees [px]; fixed, unless ``any_size``.
         any_size: the file takes images of any size, as torch does.
         batch: fixed number of images; None: any number.

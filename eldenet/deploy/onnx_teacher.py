@@ -17,7 +17,6 @@ class OnnxTeacher:
     """An ``.onnx`` file that maps images ``(1, 3, H, W)`` to one map, with its own preprocessing.
 
     Args:
-        path: of the file.
         input_size: ``(height, width)`` of the images it takes [px].
         mean: subtracted from RGB in [0, 1], per channel.
         std: then divides, per channel.

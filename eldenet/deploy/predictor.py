@@ -167,7 +167,6 @@ class DepthPredictor:
         """``frame (H, W, 3)`` uint8 RGB -> depth ``(H, W)`` float32 [m], and sigma if ``uncertainty``.
 
         Args:
-            frame: the camera's picture.
             intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of the frame [px]; only fx is used.
             focal: fx of the frame instead [px].
             fov: horizontal field of view instead [degrees]. Without any of them: the canonical camera.

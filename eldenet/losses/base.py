@@ -76,7 +76,6 @@ class WeightedTerm(nn.Module):
     """One term of the sum: ``weight * loss``.
 
     Args:
-        loss: compares the two maps.
         weight: 0 or more.
         space: space in which the maps are compared: "meters"; "log" (errors count by their ratio, as in
             AbsRel and delta); "inverse" (1 / m, where near pixels count most, as in DenseDepth).
@@ -116,12 +115,7 @@ class WeightedTerm(nn.Module):
         return {}
 
     def setup(self, student: nn.Module, autocast: Autocast = nullcontext) -> None:
-        """Prepare the term before the first step.
-
-        Args:
-            student: the network being trained.
-            autocast: the mixed-precision context it runs in.
-        """
+        """Prepare the term before the first step."""
 
     def forward(self, inputs: LossInputs) -> Tensor:
         """Return the term without its weight, a scalar."""
@@ -133,9 +127,6 @@ class WeightedTerm(nn.Module):
 
 class WeightedSum(nn.Module):
     """``total = sum of weight * term``; also returns each term by its name, for the log.
-
-    Args:
-        terms: name -> :class:`WeightedTerm`.
 
     Raises:
         ValueError: no terms, or all weights are 0.

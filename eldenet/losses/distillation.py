@@ -89,7 +89,6 @@ class DistilledTerm(WeightedTerm):
 
     Args:
         loss: compares the student's map with the teacher's.
-        teacher: the frozen network.
         weight: 0 or more.
         space: as in :class:`WeightedTerm`.
         feature_weight: weight of an additional term that compares backbone features; 0: outputs only.

@@ -13,7 +13,6 @@ class SILogLoss(Loss):
 
     Args:
         variance_focus: lambda of the papers; 1 ignores the scale altogether.
-        scale: factor on the result.
     """
 
     spaces = ("meters",)  # it takes the logarithm itself

@@ -68,8 +68,6 @@ class Camera(SimulatedSensor):
             with enough pixels, like an ideal detector.
         size: of the frame, ``(height, width)`` [px].
         light: brightness of the lamps, relative to a normal day.
-        drift: of the odometry.
-        latency: from a scan until its command takes effect [s].
         pitch: of the optical axis below the horizon [degrees]; a camera that looks down sees the foot of what
             is near.
         artifacts: of a depth camera, on the renderer's own depth (no predictor); None: that depth is exact.

@@ -107,7 +107,6 @@ class DQN:
 
     Args:
         env: :class:`~eldenet.navigation.env.ArenaNavVectorEnv`, or any with the same autoreset mode.
-        settings: hyperparameters.
     """
 
     def __init__(self, env: Any, settings: DQNSettings = DQNSettings()) -> None:

@@ -50,7 +50,6 @@ class ArenaNavVectorEnv(VectorEnv):
     "box".
 
     Args:
-        num_envs: number of robots.
         sensor: "ranges", "noisy" or a :class:`~eldenet.navigation.sensors.Sensor`.
         physics: "kinematic" or "wheels".
         arenas: to train in; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.

@@ -62,9 +62,7 @@ def run_episodes(
     """Run one episode in every arena; the results are in the order of the arenas.
 
     Args:
-        arenas: with start and goal.
         make_policy: number of robots -> policy.
-        sensor: of the robots.
         settings: of the episodes. No outcome depends on the other arenas.
         robots: episodes that run at once.
         advance: called with the number of episodes that have ended, for a progress bar.

@@ -38,7 +38,6 @@ class Predictive:
     Args:
         driver: one that maps what it sees, learned or planned.
         latency: from a scan until its command takes effect [s].
-        robots: number of robots.
     """
 
     def __init__(self, driver: "Policy", latency: float, robots: int = 1) -> None:

@@ -41,8 +41,6 @@ class NoisyRanges(SimulatedSensor):
         errors: :class:`~eldenet.navigation.range_errors.RangeErrors` or their file, which replace the four
             above; "packaged": those of the packaged network ``eldenet_arenas``.
         share: of the episodes with errors; the others have true ranges, so that a driver learns from both.
-        drift: of the odometry, in all episodes.
-        latency: from a scan until its command takes effect [s].
 
     Raises:
         ValueError: an argument is out of range.

@@ -73,7 +73,6 @@ class Observer:
     """Turns senses into observations and action numbers into commands.
 
     Args:
-        robots: number of robots.
         turn_rates: of the actions [rad/s].
         turn_factors: relative speed of each action; 0 turns on the spot, below 0 backs up. Unused by
             speed="paper".
@@ -145,7 +144,6 @@ class Observer:
         """Remember a scan and return observations ``(N, size)`` float32.
 
         Args:
-            senses: of all robots.
             robots: numbers of the robots to observe; None: all.
 
         Raises:

@@ -27,7 +27,6 @@ class Memory:
     """Points that ``robots`` robots saw.
 
     Args:
-        robots: number of robots.
         periods: control periods to remember, of which every second scan is kept; 0: the last scan only.
         seen_through: consecutive scans that must see through a point before it is forgotten, as one may have
             missed the object; 0: points are forgotten with age only.

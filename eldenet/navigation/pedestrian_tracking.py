@@ -106,7 +106,6 @@ def marks(tracks: list[Track], camera: np.ndarray) -> np.ndarray:
     """Return points ``(M, 2)`` [m] around the positions of the nearest pedestrians in the next two seconds.
 
     Args:
-        tracks: of moving objects.
         camera: position of the camera ``(2,)``; an object's center lies behind its visible face.
     """
     near = sorted(tracks, key=lambda track: float(np.hypot(*(track.position - camera))))[:MAX_MARKED]

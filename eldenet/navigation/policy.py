@@ -34,7 +34,6 @@ class Driver(Observer):
     """An observer that can slow down at another distance to the goal than in training.
 
     Args:
-        robots: number of robots.
         slows_within: distance to the goal at which it starts to slow down [m].
         options: of :class:`~eldenet.navigation.observer.Observer`.
 
@@ -81,10 +80,7 @@ class Navigator(OnRobot):
     """One or more trained Q-networks with the observer of their training, for one robot or many.
 
     Args:
-        network: trained.
         observer: options of :class:`Driver`.
-        robots: number of robots.
-        info: notes about the training.
 
     Attributes:
         files: that it was loaded from.
@@ -126,7 +122,6 @@ class Navigator(OnRobot):
             walkers: track pedestrians (:class:`~eldenet.navigation.observer.Observer`), even if it was
                 trained without; None: as stored.
             slows_within: distance to the goal at which it starts to slow down [m]; None: as stored.
-            robots: number of robots.
 
         Raises:
             FileNotFoundError: there is no such file.

@@ -9,8 +9,6 @@ class QNetwork(nn.Module):
 
     Args:
         inputs: columns of the observation.
-        actions: number of actions.
-        hidden: widths of the hidden layers.
         quantiles: of each action's return, whose mean is the value; 1: the value only.
     """
 

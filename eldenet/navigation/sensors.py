@@ -154,8 +154,8 @@ class Ranges(SimulatedSensor):
             never seen.
         lost: share of the scans that are lost, in bursts of one second on average; the previous scan is
             repeated. The first scan of an episode is never lost.
-        drift: of the odometry.
-        latency: from a scan until its command takes effect [s].
+
+    ``drift`` and ``latency`` are those of :class:`SimulatedSensor`.
 
     Raises:
         ValueError: an argument is out of range.

@@ -45,9 +45,7 @@ def box_results(
 
     Args:
         perception: detector, lifter and, for a video, tracker.
-        results: the folder of the results.
         names: of the images, or of the video.
-        log: for the times.
         depth_seconds: that the depth of each image took; read at the end.
         max_depth: that the network can answer [m]; None: any.
         is_video: the images are frames of a video or a camera.

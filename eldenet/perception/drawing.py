@@ -37,9 +37,7 @@ def draw_boxes(
     """Draw the edges of every box, dashed if it is doubtful, on a copy of ``image (H, W, 3)`` uint8 RGB.
 
     Args:
-        image: to draw on.
         boxes: in the camera's level frame.
-        camera: of the image.
         front: shade the front face of all boxes, or of those chosen ``(N,)``: for boxes whose front is known.
         labels: write class and distance [m] above each box, with its interval if it has one, and a question
             mark if it is doubtful. Where labels would overlap, those of distant boxes move up or go.

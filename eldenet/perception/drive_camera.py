@@ -33,11 +33,9 @@ def settle_camera(
 
     Args:
         source: pictures in the order of time, a video, or a bag of ROS.
-        poses: of the camera during the drive; without the height of a mounted one, it is found.
         intrinsics: of the source's pictures [px]; None: found, with the principal point in the middle.
         pitch: that was given for a mounted camera [degrees]; None: found.
         ahead: that was given [m]; None: found if the drive tells, else that of ``poses``.
-        log: says what was found.
 
     Raises:
         ValueError: the drive does not tell what was not given, or contradicts what was.

@@ -35,11 +35,8 @@ def label_drive(
 
     Args:
         source: pictures in the order of time, a video, or a bag of ROS.
-        poses: of the camera during the drive.
         intrinsics: of the source's pictures [px].
-        folder: to write to.
         most: pictures to write, about.
-        log: for progress.
 
     Raises:
         ValueError: pictures and poses do not fit, or too few pictures show enough points.

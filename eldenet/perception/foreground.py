@@ -73,8 +73,6 @@ def gather(
 
     Args:
         estimate: depth ``(H, W)`` [m]; 0, negative or not finite is unknown. With sigma, pixels weigh by it.
-        detections: the objects.
-        camera: of the image.
         ground: leave out its points; None: keep all.
         priors: of every object; None for an unknown class.
         select: "core": pixels above the ground, around the likely depth of the box's middle; "median": all

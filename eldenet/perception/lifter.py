@@ -50,7 +50,6 @@ class BoxLifter:
     box cuts are bounds only.
 
     Args:
-        method: see above.
         priors: sizes by class name.
         ground: "fit" it to the depth, a known plane, or None for no ground.
         camera_height: above the ground [m], if known: "no_depth" needs it, and "refine" weighs it against

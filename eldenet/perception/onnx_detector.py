@@ -109,8 +109,6 @@ class OnnxDetector:
     "auto" chooses by the output's shape and the file's metadata.
 
     Args:
-        path: of the file.
-        layout: see above.
         letterbox: "topleft", "center" or "stretch"; None: the file's ``letterbox_pad``, or the layout's.
         names: of the classes; None: the file's, or COCO's if there are 80.
         input_size: ``(height, width)``; needed if the file leaves it open; None: the file's.

@@ -62,10 +62,8 @@ def select_boxes(
     Args:
         xyxy: ``(A, 4)`` of every anchor [input px, counted from the corner].
         score: ``(A, classes)``.
-        placement: of the image in the input.
         threshold: boxes below this score are dropped.
         nms: IoU from which the worse of two boxes of a class is dropped.
-        between_classes: see :func:`cross_class_nms`.
         keep: indices of the classes to keep; None: all.
     """
     import cv2

@@ -107,8 +107,6 @@ class Perception:
         depth_model: image ``(H, W, 3)`` uint8 -> depth ``(H, W)`` [m], such as
             :class:`eldenet.deploy.predictor.DepthPredictor`, with or without sigma; None: every call gives
             the depth.
-        detector: frame -> detections.
-        lifter: see :class:`~eldenet.perception.lifter.BoxLifter`.
         camera: of the images, or its intrinsics, ``(3, 3)`` or ``(fx, fy, cx, cy)`` [px]; None: every call
             gives it.
         tracker: gives the boxes of a video identities and velocities; None: each image on its own.

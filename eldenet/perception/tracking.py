@@ -92,8 +92,6 @@ class BoxTracker:
         """Add the boxes of a frame, taken ``seconds`` after the previous one.
 
         Args:
-            boxes: of the frame.
-            seconds: since the previous frame.
             xyxy: ``(N, 4)`` their 2D boxes [px]; None: only distances associate them.
 
         Raises:

@@ -11,7 +11,6 @@ class WeightAverage:
     """Exponential moving average of a model's weights; often better than those of the last update.
 
     Args:
-        model: the model in training.
         decay: weight of the average at each update. It is at most (1 + n) / (10 + n) after n updates, so
             that the random start is soon forgotten.
     """

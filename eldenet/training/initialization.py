@@ -34,8 +34,6 @@ def initial_model(
     """Return the network with weights drawn from ``seed``, or taken over from ``weights``.
 
     Args:
-        network: its settings.
-        seed: of the weights that are drawn.
         weights: where others come from, as :func:`eldenet.load` takes it; None: nowhere.
         trusted_modules: modules whose classes those weights may name.
         normalization: ``mean`` and ``std`` of the network's images, where they are not its own.

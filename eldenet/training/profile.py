@@ -22,7 +22,6 @@ class Profile:
 
     Args:
         folder: of the run, which gets ``trace.json``.
-        device: of the training.
     """
 
     def __init__(self, folder: Path, device: torch.device) -> None:

@@ -53,7 +53,6 @@ def checkpoint_to_resume(folder: Path, ckpt_path: str | None, settings: Mapping[
     """Return the checkpoint that ``ckpt_path`` names; None if it names none, or there is none yet.
 
     Args:
-        folder: of the run.
         ckpt_path: a checkpoint, a run folder, or "auto": this folder's, if there is one.
         settings: of the training, as ``run.json`` stores them.
 

@@ -86,7 +86,6 @@ class Trainer:
             statistics stay. "batchnorm": every BatchNorm.
         ema_decay: decay of an exponential moving average of the weights, which is then evaluated and saved;
             None: no average.
-        channels_last: memory layout of images and weights.
         sync_batchnorm: BatchNorm takes its statistics from the batches of all processes, which must be on
             GPUs; otherwise each process has its own.
         monitor: metric that decides which epoch is the best.
@@ -165,10 +164,6 @@ class Trainer:
 
         Args:
             model: trained in place.
-            loss: what is minimized.
-            data: frames, and the rules of the validation.
-            folder: of the run.
-            resources: device, precision, threads and workers.
             ckpt_path: checkpoint to resume; the result is that of an uninterrupted run.
             info: facts to store beside the weights, in ``config.json``.
             sources: fingerprints of the weights and teachers in use; a resumed training must have the same.

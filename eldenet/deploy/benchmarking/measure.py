@@ -82,10 +82,8 @@ def measure_group(
 
     Args:
         cases: of one runtime, thread count and device; in a study each model may have its own input.
-        networks: of every case.
         reference: model whose fp32 row has ``ratio_latency`` 1.
         rounds: turns of each case.
-        seconds: of each turn.
         memory: measure each case's memory, in a separate process.
         trusted_modules: packages whose classes a model folder's config may name.
 

@@ -15,9 +15,7 @@ class OnnxRuntime(Runtime):
     """An ``.onnx`` file under ONNX Runtime.
 
     Args:
-        path: of the file.
         precision: must be the file's own; None accepts any.
-        threads: on a CPU.
         device: "cpu", "cuda", "tensorrt", or a provider's own name ("OpenVINOExecutionProvider").
 
     Raises:

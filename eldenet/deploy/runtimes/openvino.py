@@ -21,9 +21,7 @@ class OpenvinoRuntime(Runtime):
     faster, because one image takes all the threads of the runtime.
 
     Args:
-        path: of the file.
         precision: None: the file's own. An fp32 file also runs as bf16 on CPUs that multiply it.
-        threads: on a CPU.
         device: "cpu", "gpu", "npu" or OpenVINO's own name.
 
     Raises:

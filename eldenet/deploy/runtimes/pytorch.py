@@ -26,7 +26,6 @@ class TorchRuntime(Runtime):
         precision: "fp32", "bf16", or on CUDA "fp16".
         threads: of torch, process-wide.
         device: "cpu" or "cuda".
-        metadata: of the model.
 
     Raises:
         ValueError: torch does not offer this precision or device here.
