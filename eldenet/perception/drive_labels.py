@@ -89,8 +89,10 @@ def label_drive(
 
 
 def _during(source: Source | Bag, poses: DrivePoses) -> np.ndarray:
-    """The poses ``(N, 4, 4)`` between a video's beginning and end; all of another source."""
-    if isinstance(source, Bag) or not source.is_video or poses.seconds is None:
+    """The poses ``(N, 4, 4)`` of pictures, or between a video's beginning and end; all of a bag."""
+    if not (isinstance(source, Bag) or source.is_video):
+        return np.stack([pose for _, pose in _of_pictures(source, poses)])
+    if isinstance(source, Bag) or poses.seconds is None:
         return poses.cameras
     (file,) = source.names
     video = VideoFile(Path(file))
@@ -111,6 +113,12 @@ def place_frames(source: Source | Bag, poses: DrivePoses) -> Iterator[Placed]:
         (file,) = source.names
         yield from _of_film(VideoFile(Path(file)).frames(), poses)
         return
+    for path, pose in _of_pictures(source, poses):
+        yield path.name, read_image(path, upright=True), pose
+
+
+def _of_pictures(source: Source, poses: DrivePoses) -> list[tuple[Path, np.ndarray]]:
+    """The pictures whose pose is known, with it, in the order of time."""
     paths = in_order([Path(path) for path in source.names])
     times = [time for path in paths if (time := seconds_of(path.stem)) is not None]
     if poses.seconds is not None and poses.names is None and len(times) == len(paths):
@@ -118,9 +126,7 @@ def place_frames(source: Source | Bag, poses: DrivePoses) -> Iterator[Placed]:
         _refuse_other_clock(poses, known, times)
     else:
         known = poses.of_pictures(paths)
-    for path, pose in zip(paths, known, strict=True):
-        if pose is not None:
-            yield path.name, read_image(path, upright=True), pose
+    return [(path, pose) for path, pose in zip(paths, known, strict=True) if pose is not None]
 
 
 def _of_film(frames: Iterator[tuple[np.ndarray, float]], poses: DrivePoses) -> Iterator[Placed]:
