@@ -51,7 +51,9 @@ class AdaptSettings:
     # [fx, fy, cx, cy] of the pictures on disk [px]; without camera_height also a file, as data.intrinsics;
     # null: with poses, found by the drive
     intrinsics: Any = None
-    minutes: float = 10  # about how long the command may take
+    # about how long the command may take; depth from a drive's motion is not cut short (fewer frames= are
+    # faster), the training then gets what is left, at least a tenth
+    minutes: float = 10
     # of the optical center above the floor [m]; without poses it only fits the scale; null: with poses of a
     # robot, found by the drive
     camera_height: float | None = None
