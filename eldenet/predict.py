@@ -252,7 +252,7 @@ def open_perception(s: PredictSettings, source: "Source") -> "Perception":
     """Return what finds 3D boxes: detector, lifter and, for a video, tracker.
 
     Raises:
-        ValueError: no detector was given, or not as a file's path.
+        ValueError: no detector was given, or not as a file's path, or a tracker's setting for pictures.
     """
     from eldenet.data.kitti_calibration import CAMERA_HEIGHT, object_camera
     from eldenet.perception.scene import Perception
@@ -264,6 +264,8 @@ def open_perception(s: PredictSettings, source: "Source") -> "Perception":
         raise ValueError(
             "boxes need a detector: give perception.detector.path=<file>.onnx, see docs/boxes.md"
         )
+    if not source.is_video:
+        refuse_unread(("perception.tracker",), "objects are tracked in videos, and source= is none")
     parts = ("detector", "lifter", *["tracker"] * source.is_video)
     built = {name: instantiate(s.perception[name], f"perception.{name}") for name in parts}
     of_kitti = not s.lenses and not source.is_video and all(map(object_camera, map(Path, source.names)))

@@ -149,16 +149,16 @@ def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
     """Return what the command line sets, as ``{"policy.walkers": "policy.walkers=true"}``.
 
     Args:
-        overrides: as typed; None: those of the running command or job of a sweep.
+        overrides: as typed; None: those of the running command or job of a sweep, if one runs.
     """
     if overrides is None:
-        overrides = HydraConfig.get().overrides.task
+        overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return {override.key_or_group: str(override.input_line) for override in parsed}
 
 
 def refuse_unread(names: Sequence[str], because: str) -> None:
     """Raise ``ValueError`` if the command line sets one of these settings, or a part of one."""
-    unread = [key for key in given_settings() if key in names or key.partition(".")[0] in names]
+    unread = [key for key in given_settings() if any(f"{key}.".startswith(f"{name}.") for name in names)]
     if unread:
         raise ValueError(f"{', '.join(unread)}: {because}")

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from support.composing import composed
@@ -11,6 +12,7 @@ from eldenet.cli.commands import module_of
 from eldenet.cli.help import quote_paths
 from eldenet.compose import config_folder
 
+PHOTO = Path(__file__).parents[2] / "web/example.jpg"
 COMMANDS = sorted({path.stem for path in config_folder().glob("*.yaml")} - {"base", "no_run_folder", "zoo"})
 
 
@@ -60,6 +62,11 @@ def test_commands_print_the_advice_as_their_last_line(run_command):
         ("report study=x columns=[rmse]", "columns: not read with study="),
         ("report runs=nowhere", "no such file or folder: nowhere"),
         ("predict checkpoint=a source=b perception.detector.path=c", "only boxes=true makes 3D"),
+        (
+            f"predict source={PHOTO} focal=440 boxes=true perception.detector.path=a.onnx "
+            "perception.tracker.max_age=3",
+            "perception.tracker.max_age: objects are tracked in videos",
+        ),
         ("benchmark study=x sizes=[[64,64]]", "sizes: not read with study="),
         ("train data.input_size=224", "input_size=224: give [height, width] in pixels"),
         ("train trainer.epochs=five", "epochs=five: give a whole number"),
