@@ -168,7 +168,8 @@ def _label(s: AdaptSettings) -> AdaptSettings:
     data |= {part: {**s.data[part], **read} for part in ("train", "val", "test")}
     at_points = compose(AdaptSettings, ["loss=l1_sparse", "loss.terms.l1.space=log"]).loss
     left = max(s.minutes - (time.monotonic() - started) / 60, s.minutes / 10)
-    return replace(s, data=data, loss=at_points, minutes=left)
+    found = [round(float(lens[at]), 1) for at in ((0, 0), (1, 1), (0, 2), (1, 2))]
+    return replace(s, data=data, loss=at_points, minutes=left, intrinsics=found)
 
 
 def _calibrate(s: AdaptSettings) -> bool:

@@ -147,6 +147,8 @@ def record_change(
     log.say(verdict)
     log.say(f"written to {folder}: model/, {RUN_FILE}, before_after.png, held_out.csv")
     if kept:
-        log.say(f"to use it: python -m eldenet.predict checkpoint={folder} source=... intrinsics=...")
+        given = facts["config"]["intrinsics"]
+        lens = f"'intrinsics={list(given)}'".replace(" ", "") if isinstance(given, list) else "intrinsics=..."
+        log.say(f"to use it: python -m eldenet.predict checkpoint={folder} source=... {lens}")
     log.close()
     return kept

@@ -89,6 +89,7 @@ def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path
     assert re.search(r"by the drive, camera_pitch=(8.[1-9]|9.[01])", said)
     assert re.search(r"by the drive, camera_height=0.(39|40|41)", said)
     assert "corners of known depth" in said
+    assert kept is (f"'intrinsics=[{lens[0]:.1f},{lens[1]:.1f},63.5,47.5]'" in said)  # ready to be copied
     maps = sorted((tmp_path / "run/labels/depths").iterdir())
     assert len(maps) >= 35
     shown = [corridor(camera) for camera in cameras]
