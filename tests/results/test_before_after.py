@@ -53,7 +53,15 @@ def test_changed_weights_do_not_state_the_scores_of_the_start(tmp_path, gain):
     start.info = {"test": {"delta1": 0.987, "protocol": "nyu_eigen"}}
     folder = str(start.save_pretrained(tmp_path / "start"))
     changes = {"abs_rel": compare("abs_rel", HARD, HARD - gain)}
-    kept = record_change(tmp_path, RunLog(tmp_path), start, copy.deepcopy(start), changes, folder, {})
+    kept = record_change(
+        tmp_path,
+        RunLog(tmp_path),
+        start,
+        copy.deepcopy(start),
+        changes,
+        folder,
+        {"config": {"intrinsics": None}},
+    )
     assert kept is (gain > 0)
     card = (tmp_path / "model/README.md").read_text()
     assert ("0.987" in card) is not kept
