@@ -159,7 +159,9 @@ def _refuse_mount(path: Path, mount: Mount) -> None:
 
 def _check_order(path: Path, seconds: np.ndarray) -> None:
     if (back := np.flatnonzero(np.diff(seconds) <= 0)).size:
-        raise ValueError(f"{path}: seconds do not increase after {seconds[back[0]]:g}: sort the rows by time")
+        raise ValueError(
+            f"{path}: seconds do not increase after {seconds[back[0]]:g}: sort the rows by time, one row each"
+        )
 
 
 def _values(path: Path, rows: Sequence[Sequence[str]], columns: Sequence[str], first: int) -> np.ndarray:
@@ -171,7 +173,8 @@ def _values(path: Path, rows: Sequence[Sequence[str]], columns: Sequence[str], f
                 values[line, place] = float(text)
             if not math.isfinite(values[line, place]):
                 raise ValueError(
-                    f"{path}, line {line + first}: {columns[place]} is {text[:40]!r}: give a finite number"
+                    f"{path}, line {line + first}: {columns[place]} is {text[:40]!r}: give a finite number, or "
+                    "no such row"
                 )
     return values
 

@@ -93,11 +93,15 @@ def fit_camera(pairs: Sequence[Pair], intrinsics: np.ndarray, forward: np.ndarra
     drive = _Drive(pairs, intrinsics, np.zeros(3) if forward is None else forward)
     unknown = {"focal": 0, "pitch": 1, "yaw": 2, "ahead": 3}
     # gentle curves do not tell where the camera sits, a straight drive not the focal length
+    fits = []
     for free in ([0],) if forward is None else ([0, 1, 2, 3], [0, 1, 2], [1, 2]):
         starts = [np.array([math.log(start), 0, 0, 0]) for start in (STARTS if 0 in free else (1.0,))]
         found, sure = _fitted(drive, starts, free)
         if sure[free].all():
             break
+        fits.append((free, found, sure))
+    else:  # lens and pitch may be sure though the yaw is not
+        free, found, sure = next((fit for fit in fits if fit[2][:2].all()), fits[-1])
     found[0] = math.exp(found[0])
     return CameraFit(**{name: float(found[k]) for name, k in unknown.items() if k in free and sure[k]})
 

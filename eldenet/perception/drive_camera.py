@@ -63,7 +63,10 @@ def settle_camera(
             )
         found = told
     elif fit.focal is None:
-        raise ValueError(f"the drive does not tell the lens: give intrinsics=[fx,fy,cx,cy] [px], or {TELLS}")
+        raise ValueError(
+            "the drive does not tell the lens: check heading (counter-clockwise) and clock, give "
+            f"intrinsics=[fx,fy,cx,cy] [px], or {TELLS}"
+        )
     else:
         log.say(f"by the drive, intrinsics={_said(found)}: give them to other commands, too")
     if mounted.mount is None:
@@ -123,7 +126,8 @@ def _mounted(
         )
     if pitch is None and fit.pitch is None:
         raise ValueError(
-            f"the drive does not tell the pitch: give camera_pitch= [degrees], check intrinsics, or {TELLS}"
+            "the drive does not tell the pitch: check heading (counter-clockwise), clock and intrinsics, "
+            f"give camera_pitch= [degrees], or {TELLS}"
         )
     lower = fit.pitch if pitch is None and fit.pitch is not None else 0.0
     farther = fit.ahead if ahead is None and fit.ahead is not None else 0.0
