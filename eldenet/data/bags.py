@@ -67,11 +67,7 @@ class Bag:
 
     @property
     def intrinsics(self) -> list[float]:
-        """fx, fy, cx, cy of the pictures of :meth:`frames` [px].
-
-        Raises:
-            ValueError: it does not know them.
-        """
+        """fx, fy, cx, cy of the pictures of :meth:`frames` [px]."""
         if self._lens is None:
             raise ValueError(
                 f"{self.path} needs a CameraInfo of a calibrated camera beside {self._pictures}, and has "
@@ -122,11 +118,7 @@ class Bag:
                 yield seconds(message.header.stamp) or nanoseconds * 1e-9, message
 
     def frames(self) -> Iterator[tuple[np.ndarray, float]]:
-        """Yield the pictures ``(H, W, 3)`` uint8 RGB with their times [s], in the order of time.
-
-        Raises:
-            ValueError: a picture cannot be read.
-        """
+        """Yield the pictures ``(H, W, 3)`` uint8 RGB with their times [s], in the order of time."""
         latest = -np.inf
         for time, message in self._messages(self._pictures):
             if time > latest:
@@ -179,11 +171,7 @@ class Bag:
         return matrix
 
     def write_odometry(self, topic: str | None, path: Path) -> Path:
-        """Write the poses of the robot's base as rows ``seconds,x,y,heading``; None: of the only odometry.
-
-        Raises:
-            ValueError: there is no such topic, or there are several.
-        """
+        """Write the poses of the robot's base as rows ``seconds,x,y,heading``; None: of the only odometry."""
         topic = self._chosen("odometry", self._topics(ODOMETRY), topic, "poses")
         poses = {time: read_pose(message) for time, message in self._messages(topic)}
         write_rows(path, ("seconds", "x", "y", "heading"), [(time, *poses[time]) for time in sorted(poses)])

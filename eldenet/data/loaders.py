@@ -102,11 +102,7 @@ class Loader(DataLoader):
     """A loader that says what to do when one of its workers was killed."""
 
     def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
-        """Yield batches.
-
-        Raises:
-            ChildProcessError: a worker was killed.
-        """
+        """Yield batches."""
         try:
             yield from super().__iter__()
         except RuntimeError as error:

@@ -65,11 +65,7 @@ class _Series(NamedTuple):
 
 
 def recognize(folder: Path) -> list[Recognized]:
-    """Return what a folder may be; nothing if it is unknown.
-
-    Raises:
-        FileNotFoundError: there is no such folder.
-    """
+    """Return what a folder may be; nothing if it is unknown."""
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is not a folder: give the folder of your recordings")
     beside = sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != ".")
@@ -87,7 +83,8 @@ def _known(folder: Path) -> list[Recognized]:
 
 
 def _recordings(folder: Path) -> list[Recognized]:
-    files = _visible(folder)
+    visible = (path for path in files_below(folder) if path.is_file())
+    files = sorted(path.relative_to(folder).as_posix() for path in islice(visible, MOST_FILES))
     series = _series(folder, files)
     candidates = list(_lists(folder, files)) or list(_pairs(folder, series))
     if not candidates and (refused := _refused(folder, files)):
@@ -104,12 +101,6 @@ def _recordings(folder: Path) -> list[Recognized]:
         if pairs not in found:  # by time and by order may be the same
             found[pairs] = _describe(folder, title, settings, frames, series, files)
     return list(found.values())
-
-
-def _visible(folder: Path) -> list[str]:
-    """Files below a folder, without hidden ones."""
-    files = (path for path in files_below(folder) if path.is_file())
-    return sorted(path.relative_to(folder).as_posix() for path in islice(files, MOST_FILES))
 
 
 def _refused(folder: Path, files: Sequence[str]) -> list[str]:
@@ -171,7 +162,7 @@ def _series(folder: Path, files: Sequence[str]) -> list[_Series]:
     for (parent, template), members in merged.items():
         kind = kinds[parent, template]
         if kind:
-            found.setdefault((_place(parent, template, merged, kinds), kind), []).extend(members)
+            found.setdefault((_place(parent, template, kinds), kind), []).extend(members)
     # one picture and its depth are a recording; one file of another kind is no series
     return [
         _Series(place, kind, members[0])
@@ -180,31 +171,27 @@ def _series(folder: Path, files: Sequence[str]) -> list[_Series]:
     ]
 
 
-def _place(
-    parent: str,
-    template: str,
-    groups: Mapping[tuple[str, str], Sequence[str]],
-    kinds: Mapping[tuple[str, str], str],
-) -> str:
-    """The setting that finds a group of files: their folder where it holds nothing else, else a pattern."""
+def _place(parent: str, template: str, kinds: Mapping[tuple[str, str], str]) -> str:
+    """The setting that finds a group of files: their folder where it holds nothing else, else a pattern.
+
+    ``kinds`` are those of all groups, each a folder and a template of names. A folder's name becomes ``*``
+    where others in its place hold files of this kind too: scenes, or the parts train, val and test.
+    """
     kind = kinds[parent, template]
-    read = set(_endings(kind))  # notes beside pictures are not read as pictures
-    alone = parent and all(
-        kinds[group] == kind
-        for group in groups
-        if group[0] == parent and Path(group[1]).suffix.lower() in read
-    )
+    # notes beside pictures are not read as pictures
+    read = [
+        group for group in kinds if group[0] == parent and Path(group[1]).suffix.lower() in _endings(kind)
+    ]
+    alone = parent and all(kinds[group] == kind for group in read)
     parts = parent.split("/")
+    folders = [one.split("/") for (one, _), other in kinds.items() if other == kind]
+    folders = [names for names in folders if len(names) == len(parts)]
     for place in range(len(parts)):
+        pattern = [*parts[:place], "*", *parts[place + 1 :]]
         others = {
-            one.split("/")[place].lower()
-            for one, name in groups
-            if kinds[one, name] == kind
-            and len(one.split("/")) == len(parts)
-            and all(
-                b in (a, "*") or i == place
-                for i, (a, b) in enumerate(zip(one.split("/"), parts, strict=True))
-            )
+            names[place].lower()
+            for names in folders
+            if all(part in (name, "*") for name, part in zip(names, pattern, strict=True))
         }
         is_last = place == len(parts) - 1
         are_parts = others <= PARTS.keys()
@@ -371,11 +358,7 @@ def _samples(
 
 def _refusal(folder: Path, settings: Mapping[str, Any]) -> list[str]:
     """What the reader says against the settings at the first frame; nothing if it reads it."""
-    given = {
-        key: value
-        for key, value in settings.items()
-        if key not in ("data", "root", "input_size", "test_split")
-    }
+    given = {key: settings[key] for key in settings.keys() - {"data", "root", "input_size", "test_split"}}
     try:
         FolderDataset(folder, on_error="skip", **{"max_depth": MAX_DEPTH, **given}).load_frame(0)
     except (ValueError, OSError) as error:

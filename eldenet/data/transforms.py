@@ -183,10 +183,7 @@ class Augmentation:
 
 
 def _drawn(
-    transforms: Sequence[Any],
-    size: tuple[int, int],
-    generator: np.random.Generator,
-    chance: random.Random,
+    transforms: Sequence[Any], size: tuple[int, int], generator: np.random.Generator, chance: random.Random
 ) -> list[Drawn]:
     """Return those of albumentations' transforms that take place, and the parameters that each draws."""
     if transforms:

@@ -22,10 +22,7 @@ def scenes_of(names: Sequence[str]) -> np.ndarray:
 
 
 def bootstrap_interval(
-    statistic: Callable[[np.ndarray], float],
-    groups: np.ndarray | int,
-    *,
-    draws: int = 2000,
+    statistic: Callable[[np.ndarray], float], groups: np.ndarray | int, *, draws: int = 2000
 ) -> tuple[float, float]:
     """95 % percentile bootstrap interval of a statistic.
 

@@ -23,17 +23,13 @@ def fit_temperature(
 
     Guo et al., "On Calibration of Modern Neural Networks" (ICML 2017), here of a scale: the most likely one
     is the mean of ``|error| / scale`` of a Laplace distribution, and the root of the mean square of a normal
-    one.
-    Every image counts the same.
+    one. Every image counts the same.
 
     Args:
         model: with :class:`~eldenet.heads.UncertainHead`.
         dataset: built for evaluation; scenes of neither training nor test.
         protocol: which pixels count.
         batch_size: images at a time.
-
-    Raises:
-        ValueError: the network predicts no sigma.
     """
     head = model.head
     assert isinstance(head, UncertainHead), NO_SIGMA

@@ -79,9 +79,7 @@ def pareto_plot(
 
 
 def name_points(
-    axes: Any,
-    points: Mapping[str, Sequence[tuple[float, float]]],
-    colors: Mapping[str, Any] | None = None,
+    axes: Any, points: Mapping[str, Sequence[tuple[float, float]]], colors: Mapping[str, Any] | None = None
 ) -> None:
     """Write each name right of its last or left of its first point ``(x, y)``, the highest names first.
 

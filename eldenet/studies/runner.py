@@ -12,14 +12,7 @@ from eldenet.results.fingerprints import fingerprints, run_differences
 from eldenet.results.packed_runs import RUNS, add_record, pack
 from eldenet.results.run_record import read_run
 from eldenet.studies.matching import refuse_missing, run_overrides, search_differences
-from eldenet.studies.plan import (
-    RATE,
-    Study,
-    StudyRow,
-    rate_name,
-    run_name,
-    training_settings,
-)
+from eldenet.studies.plan import RATE, Study, StudyRow, rate_name, run_name, training_settings
 from eldenet.system.files import FolderInUse, sole_writer, write_text
 from eldenet.train import TrainSettings, checked_parts, train
 from eldenet.training.resume import check_finished
@@ -176,11 +169,7 @@ class _RowRun:
         return Outcome(name, "done")
 
     def _finished(self, overrides: Sequence[str], seed: int) -> bool:
-        """Whether this very run is stored; without its frames the settings alone are compared.
-
-        Raises:
-            ValueError: it was made with other settings, weights or frames.
-        """
+        """Whether this very run is stored; without its frames the settings alone are compared."""
         record, name = self.study.stored(self.row, seed), f"{self.study.name}/{run_name(self.row, seed)}"
         if record is None:
             return False
