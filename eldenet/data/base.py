@@ -26,6 +26,7 @@ from eldenet.types import DepthSample, Frame
 Transform = Callable[[Frame, np.random.Generator], Frame]
 SampleKey = int | tuple[int, int] | tuple[int, int, float]
 Size = tuple[int, int]
+MakeSample = Callable[[Any, Frame, np.random.Generator, Size | None], DepthSample]
 SPARSE = ("sparse", "improved")
 """Kinds of ground truth that consist of single points: a resize moves each one and never mixes two."""
 
@@ -81,7 +82,7 @@ class DepthDataset(Dataset[DepthSample]):
     ground_truth = "raw"
     depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
-    make_sample: Callable[[Any, Frame, np.random.Generator, Size | None], DepthSample] | None = None
+    make_sample: MakeSample | None = None
     class_names: tuple[str, ...] = ()  # of the semantic labels, by number; empty if none are read
 
     def __init__(
@@ -224,9 +225,7 @@ class DepthDataset(Dataset[DepthSample]):
             frame = self.resized(frame, size)
         return to_sample(frame, self.min_depth, self.max_depth)
 
-    def with_samples(
-        self, make_sample: Callable[[Any, Frame, np.random.Generator, Size | None], DepthSample]
-    ) -> Self:
+    def with_samples(self, make_sample: MakeSample) -> Self:
         """Return the same data set; ``make_sample(dataset, frame, generator, size)`` makes its samples."""
         other = copy(self)
         other.make_sample = make_sample

@@ -108,10 +108,10 @@ class KITTIRaw(KITTIFrames):
         projection: "camera" or "eigen", see :func:`~eldenet.data.kitti_calibration.project_scan`.
         split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`); "trainval", "test"
             and "all" take every frame.
-        cameras: 2 (left), 3 (right) or both.
-        list_file: list of frames (:func:`~eldenet.data.kitti_files.frame_list`); None takes every scan.
-        exclude_list: list whose drives are left out, such as the list of the test frames.
-        frames: how many frames there must be, such as Eigen's 697; None for any number.
+        cameras: as :class:`KITTIDepth`.
+        list_file: the same; None takes every scan.
+        exclude_list: the same.
+        frames: the same.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
     """
 

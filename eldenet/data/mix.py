@@ -8,7 +8,7 @@ from typing import Any, Self, Unpack
 import numpy as np
 import torch
 
-from eldenet.data.base import DepthDataset, SampleKey, SampleOptions, Size
+from eldenet.data.base import DepthDataset, MakeSample, SampleKey, SampleOptions
 from eldenet.system.digests import digest_of
 from eldenet.types import DepthSample, Frame
 
@@ -101,9 +101,7 @@ class Mix(DepthDataset):
         part = list(self.sources.values())[which].frames
         return part, index - int(self._ends[which]) + len(part)
 
-    def with_samples(
-        self, make_sample: Callable[[Any, Frame, np.random.Generator, Size | None], DepthSample]
-    ) -> Self:
+    def with_samples(self, make_sample: MakeSample) -> Self:
         """Return the same mix with other samples of its sources."""
         other = super().with_samples(make_sample)
         other.sources = {

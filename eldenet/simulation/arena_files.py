@@ -51,8 +51,7 @@ def _arena(content: Any) -> Arena:
     *place, degrees = _numbers("start", entries["start"], 3)
     start = _inside("start", (place[0], place[1]), side)
     waypoints = [
-        _inside(name, _pair(name, value), side)
-        for name, value in _list_of("waypoints", entries["waypoints"], MOST_WAYPOINTS)
+        _place(*named, side) for named in _list_of("waypoints", entries["waypoints"], MOST_WAYPOINTS)
     ]
     obstacles = [
         _obstacle(name, value, side)
@@ -76,23 +75,20 @@ def _obstacle(name: str, content: Any, side: float) -> Obstacle:
     kind = content.get("kind") if isinstance(content, Mapping) else None
     one_of(f"{name}.kind", str(kind), tuple(KINDS))
     entries = _entries(name, content, {"kind": None, "at": None} | KINDS[str(kind)])
-    x, y = _inside(f"{name}.at", _pair(f"{name}.at", entries["at"]), side)
+    x, y = _place(f"{name}.at", entries["at"], side)
     height = _number(f"{name}.height", entries.get("height", VEHICLE_HEIGHT), LIMITS["height"])
     yaw = math.radians(_number(f"{name}.yaw", entries.get("yaw", 0.0), (-360.0, 360.0)))
     if kind == "cylinder":
         radius = _number(f"{name}.radius", entries["radius"], LIMITS["radius"])
         return Obstacle("cylinder", x, y, 0.0, (radius, radius), height)
     if kind == "box":
-        length, width = _pair(f"{name}.size", entries["size"])
+        length, width = _numbers(f"{name}.size", entries["size"], 2)
         for value in (length, width):
             _number(f"{name}.size", value, LIMITS["size"])
         return Obstacle("box", x, y, yaw, (length / 2, width / 2), height)
     if kind == "vehicle":
         return Obstacle("vehicle", x, y, yaw, VEHICLE_HALF, VEHICLE_HEIGHT)
-    corners = [
-        _inside(place, _pair(place, value), side)
-        for place, value in _list_of(f"{name}.path", entries["path"], MOST_WAYPOINTS)
-    ]
+    corners = [_place(*named, side) for named in _list_of(f"{name}.path", entries["path"], MOST_WAYPOINTS)]
     speed = _number(f"{name}.speed", entries["speed"], LIMITS["speed"])
     path = ((x, y), *corners) if corners else ()  # from where the person stands, and back
     half = (PERSON_RADIUS, PERSON_RADIUS)
@@ -142,9 +138,9 @@ def _list_of(name: str, value: Any, most: int) -> Iterator[tuple[str, Any]]:
     return ((f"{name}[{index}]", entry) for index, entry in enumerate(entries))
 
 
-def _pair(name: str, value: Any) -> Point:
-    first, second = _numbers(name, value, 2)
-    return first, second
+def _place(name: str, value: Any, side: float) -> Point:
+    x, y = _numbers(name, value, 2)
+    return _inside(name, (x, y), side)
 
 
 def _numbers(name: str, value: Any, count: int) -> list[float]:

@@ -318,31 +318,11 @@ def facade(rng: np.random.Generator) -> Weights:
 
 # Variants of each pattern in the atlas. Their order fixes the patterns' numbers and so the rooms.
 FAMILIES: tuple[tuple[Pattern, int], ...] = (
-    (plain, 3),
-    (plaster, 4),
-    (planks, 8),
-    (grain, 6),
-    (tiles, 8),
-    (bricks, 4),
-    (carpet, 4),
-    (speckle, 6),
-    (stripes, 6),
-    (plaid, 6),
-    (blobs, 6),
-    (folds, 5),
-    (crumple, 5),
-    (tufted, 3),
-    (fronts, 12),
-    (door, 6),
-    (books, 8),
-    (poster, 24),
-    (text, 6),
-    (outdoors, 10),
-    (blinds, 6),
-    (appliance, 6),
-    (foliage, 3),
+    (plain, 3), (plaster, 4), (planks, 8), (grain, 6), (tiles, 8), (bricks, 4), (carpet, 4), (speckle, 6),
+    (stripes, 6), (plaid, 6), (blobs, 6), (folds, 5), (crumple, 5), (tufted, 3), (fronts, 12), (door, 6),
+    (books, 8), (poster, 24), (text, 6), (outdoors, 10), (blinds, 6), (appliance, 6), (foliage, 3),
     (facade, 10),
-)
+)  # fmt: skip
 
 
 def variants(family: str) -> range:
