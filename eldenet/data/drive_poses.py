@@ -173,8 +173,8 @@ def _values(path: Path, rows: Sequence[Sequence[str]], columns: Sequence[str], f
                 values[line, place] = float(text)
             if not math.isfinite(values[line, place]):
                 raise ValueError(
-                    f"{path}, line {line + first}: {columns[place]} is {text[:40]!r}: give a finite number, or "
-                    "no such row"
+                    f"{path}, line {line + first}: {columns[place]} is {text[:40]!r}: give a finite number, "
+                    "or no such row"
                 )
     return values
 

@@ -7,13 +7,9 @@ from eldenet.data.base import DepthDataset
 
 
 class ConstantPredictor(nn.Module):
-    """Predicts one depth map for every image.
+    """Predicts one depth map for every image."""
 
-    Args:
-        mean_depth: ``(1, 1, H, W)`` [m].
-    """
-
-    mean_depth: Tensor
+    mean_depth: Tensor  # (1, 1, H, W) [m]
 
     def __init__(self, mean_depth: Tensor) -> None:
         super().__init__()

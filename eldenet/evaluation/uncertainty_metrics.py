@@ -107,11 +107,7 @@ def log_density(log_error: np.ndarray, spread: np.ndarray, distribution: str) ->
 
 
 class UncertaintyMeter:
-    """Collects :func:`score_image` of every image.
-
-    Args:
-        distribution: "laplace" or "gaussian".
-    """
+    """Collects :func:`score_image` of every image, for a sigma of this ``distribution``."""
 
     def __init__(self, distribution: str) -> None:
         self.distribution = distribution

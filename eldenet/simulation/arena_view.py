@@ -16,7 +16,7 @@ from eldenet.geometry import extent_of, pinhole
 from eldenet.simulation.arena_detail import detailed_arena
 from eldenet.simulation.arena_mjcf import CEILING, arena_mjcf
 from eldenet.simulation.arenas import SPLITS, Arena, cell_center, clearance_map, generate_arena
-from eldenet.simulation.furnished_rooms.render import Views
+from eldenet.simulation.furnished_rooms.render import Views, stacked
 from eldenet.simulation.rendering.camera import RayCamera, camera_rotation
 from eldenet.simulation.rendering.camera_noise import develop, develop_photo
 from eldenet.simulation.rendering.mjcf import Draw
@@ -122,11 +122,9 @@ def render_arena(
     Density, light and number of pedestrians vary by arena; pose, time and camera settings by frame. Half of
     the poses are close to something, as a robot's are among obstacles. ``detail`` is :class:`ArenaView`'s.
     """
-    frames = [
-        (photo.image, photo.depth, robot_intrinsics(size), *camera_pose(pose))
-        for _, pose, photo in arena_photos(split, index, size, views, detail)
-    ]
-    return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
+    photos = arena_photos(split, index, size, views, detail)
+    lens = robot_intrinsics(size)
+    return stacked((photo.image, photo.depth, lens, *camera_pose(pose)) for _, pose, photo in photos)
 
 
 def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:

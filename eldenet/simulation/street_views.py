@@ -6,7 +6,7 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.geometry import PinholeCamera, extent_of, pinhole
-from eldenet.simulation.furnished_rooms.render import Views
+from eldenet.simulation.furnished_rooms.render import Views, stacked
 from eldenet.simulation.furnished_rooms.rooms import SPLITS
 from eldenet.simulation.rendering.camera import (
     SEEN_GROUPS,
@@ -116,15 +116,11 @@ def render_streets(
     detail: bool = False,
 ) -> Views:
     """Render streets ``index * views`` to ``(index + 1) * views - 1`` by :func:`render_street`."""
-    found = [
-        render_street(split, index * views + view, size, focal=focal, detail=detail) for view in range(views)
-    ]
-    return Views(
-        np.stack([view.image for view in found]),
-        np.stack([view.depth for view in found]),
-        np.stack([view.camera.intrinsics for view in found]),
-        np.array([[0.0, 0.0, view.height] for view in found]),
-        np.stack([view.rotation for view in found]),
+    places = range(index * views, (index + 1) * views)
+    found = [render_street(split, place, size, focal=focal, detail=detail) for place in places]
+    return stacked(
+        (view.image, view.depth, view.camera.intrinsics, np.array([0.0, 0.0, view.height]), view.rotation)
+        for view in found
     )
 
 

@@ -1,6 +1,6 @@
 """Frames of a room: choose cameras, cast, shade, develop."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, TypedDict, Unpack
 
 import cv2
@@ -25,6 +25,11 @@ class Views(NamedTuple):
     intrinsics: np.ndarray  # (V, 3, 3) float64 [px]
     position: np.ndarray  # (V, 3) float64 camera centers in the room [m]
     rotation: np.ndarray  # (V, 3, 3) float64 world from camera
+
+
+def stacked(frames: Iterable[Sequence[np.ndarray]]) -> Views:
+    """Return frames, each an image, depth, intrinsics, position and rotation, as views."""
+    return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
 
 
 class Shares(TypedDict, total=False):
@@ -71,7 +76,7 @@ def render_room(
         image = (develop_photo if detail else develop)(linear, Draw(seed), (*seed, 1))
         depth = hits.depth.astype(np.float32).reshape(size)
         frames.append((image, depth, camera.intrinsics, position, rotation))
-    return Views(*(np.stack(column) for column in zip(*frames, strict=True)))
+    return stacked(frames)
 
 
 def draw_intrinsics(draw: Draw, size: tuple[int, int], focal: tuple[float, float] = KINECT) -> np.ndarray:

@@ -22,13 +22,9 @@ def overlaps(span: Span, others: list[Span]) -> bool:
 
 
 class Wall:
-    """One wall; its frame has x along the wall, y into the room, the origin in the middle on the floor.
+    """One wall of a room of ``size`` [m]; ``side`` is its place in :data:`SIDES`.
 
-    Args:
-        draw: of the room.
-        materials: of the room.
-        side: 0 to 3, see :data:`SIDES`.
-        size: of the room [m].
+    Its frame has x along the wall, y into the room, the origin in the middle on the floor.
     """
 
     def __init__(self, draw: Draw, materials: Materials, side: int, size: tuple[float, float, float]) -> None:
