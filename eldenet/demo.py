@@ -26,7 +26,7 @@ from eldenet.compose import listed
 from eldenet.geometry import BORDER_COLOR
 from eldenet.system.checks import check_size
 from eldenet.system.extras import require
-from eldenet.system.files import part_file, shipped_folder, write_json
+from eldenet.system.files import copy_file, shipped_folder, write_json
 from eldenet.weights import find_checkpoint, name_of
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def build_page(model: "DepthNet", s: DemoSettings, output: Path, log: "RunLog") 
     write_onnx(model, output / "network.onnx", (height, width), batch=1, metadata=facts)
     write_json(output / "network.json", page_facts(model, s.checkpoint, (height, width)))
     for file in PAGE:
-        _copy(web_folder() / file, output / file)
+        copy_file(web_folder() / file, output / file)
 
 
 def page_facts(model: "DepthNet", checkpoint: str, size: tuple[int, int]) -> dict[str, Any]:
@@ -156,12 +156,7 @@ def install_runtime(folder: Path, log: "RunLog") -> None:
             raise ValueError(f"npm could not fetch onnxruntime-web {wanted}: {reason}")
         package = Path(temporary) / "node_modules" / "onnxruntime-web"
         for file in RUNTIME:
-            _copy(package / file if file == LIST else package / "dist" / file, folder / file)
-
-
-def _copy(source: Path, target: Path) -> None:
-    with part_file(target) as unfinished:
-        shutil.copyfile(source, unfinished)
+            copy_file(package / file if file == LIST else package / "dist" / file, folder / file)
 
 
 class PageHandler(SimpleHTTPRequestHandler):

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from eldenet.geometry import resize_sparse
-from eldenet.system.files import part_file
+from eldenet.system.files import write_bytes
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -117,9 +117,8 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
         OSError: the file could not be written.
     """
     pixels = picture[..., ::-1] if picture.ndim == 3 else picture
-    with part_file(path) as unfinished:
-        # not cv2.imwrite, which does not say why it fails
-        unfinished.write_bytes(cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes())
+    # not cv2.imwrite, which does not say why it fails
+    write_bytes(path, cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes())
 
 
 def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> np.ndarray:

@@ -1,5 +1,7 @@
 """The base class of backbones: an image in, feature maps out, each described by channels and stride."""
 
+from collections.abc import Collection, Iterable
+
 from torch import Tensor, nn
 
 from eldenet.configurable import Configurable
@@ -32,6 +34,16 @@ class Backbone(Configurable, nn.Module):
             One map ``(B, channels, ceil(H / stride), ceil(W / stride))`` per entry of ``feature_info``.
         """
         raise NotImplementedError(f"{type(self).__name__} has no forward")
+
+
+def outputs_of(layers: Iterable[nn.Module], x: Tensor, ends: Collection[int]) -> tuple[Tensor, ...]:
+    """Run layers one after the other on ``(B, C, H, W)``; return the outputs of those numbered ``ends``."""
+    outputs = []
+    for number, layer in enumerate(layers):
+        x = layer(x)
+        if number in ends:
+            outputs.append(x)
+    return tuple(outputs)
 
 
 def five_stages(*channels: int) -> tuple[FeatureInfo, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from eldenet.backbones.base import Backbone
+from eldenet.backbones.base import Backbone, outputs_of
 from eldenet.backbones.pplcnet import scale_channels
 from eldenet.backbones.weights import (
     IMAGENET_MEAN,
@@ -117,12 +117,7 @@ class EfficientNetLite(Backbone):
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
         """Return the features of ``(B, 3, H, W)``, finest first."""
-        x, features = self.stem(image), []
-        for number, stage in enumerate(self.stages):
-            x = stage(x)
-            if number in self._features:
-                features.append(x)
-        return tuple(features)
+        return outputs_of(self.stages, self.stem(image), self._features)
 
     def _renamed(self, weights: Weights, path: Path) -> Weights:
         """Return published weights under our names, for pictures that are normalized as ``DepthNet`` does."""

@@ -5,7 +5,7 @@ from pathlib import Path
 import torchvision.models as zoo
 from torch import Tensor, nn
 
-from eldenet.backbones.base import Backbone, five_stages
+from eldenet.backbones.base import Backbone, five_stages, outputs_of
 from eldenet.backbones.weights import (
     download_from_hub,
     load_torchvision_weights,
@@ -67,12 +67,7 @@ class MobileNetV1(Backbone):
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
         """Return the features of ``(B, 3, H, W)``, finest first."""
-        features = []
-        x = self.stem(image)
-        for stage in self.stages:
-            x = stage(x)
-            features.append(x)
-        return tuple(features)
+        return outputs_of(self.stages, self.stem(image), range(len(self.stages)))
 
 
 class _TorchvisionMobileNet(Backbone):
@@ -86,13 +81,7 @@ class _TorchvisionMobileNet(Backbone):
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
         """Return the features of ``(B, 3, H, W)``, finest first."""
-        features = []
-        x = image
-        for index, layer in enumerate(self.features):
-            x = layer(x)
-            if index in self._stage_ends:
-                features.append(x)
-        return tuple(features)
+        return outputs_of(self.features, image, self._stage_ends)
 
 
 class MobileNetV2(_TorchvisionMobileNet):

@@ -3,7 +3,7 @@
 from torch import Tensor, nn
 from torchvision.models import vgg
 
-from eldenet.backbones.base import Backbone, five_stages
+from eldenet.backbones.base import Backbone, five_stages, outputs_of
 from eldenet.backbones.weights import load_torchvision_weights
 from eldenet.layers import init_kaiming
 
@@ -31,9 +31,9 @@ class VGG16(Backbone):
         super().__init__()
         # Only the convolutions: initializing the classifier's 124 M parameters would take seconds.
         self.features: nn.Sequential = vgg.make_layers(vgg.cfgs["D"], batch_norm=batch_norm)
-        for layer in self.features:
-            if isinstance(layer, nn.MaxPool2d):
-                layer.ceil_mode = True
+        self._pools = [n for n, layer in enumerate(self.features) if isinstance(layer, nn.MaxPool2d)]
+        for number in self._pools:
+            self.features[number].ceil_mode = True
         self.feature_info = five_stages(64, 128, 256, 512, 512)
         init_kaiming(self)
         if pretrained:
@@ -41,10 +41,4 @@ class VGG16(Backbone):
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
         """Return the features of ``(B, 3, H, W)``, finest first."""
-        features = []
-        x = image
-        for layer in self.features:
-            x = layer(x)
-            if isinstance(layer, nn.MaxPool2d):
-                features.append(x)
-        return tuple(features)
+        return outputs_of(self.features, image, self._pools)

@@ -108,5 +108,4 @@ class FastUpConvDecoder(Decoder):
                     x = self.merge[str(stride)](torch.cat((x, lateral), dim=1))
                 else:
                     x = x + lateral
-        raw = self.predict(x)
-        return raw if str(self.stride) in self.lateral else self.within_image(raw, features)
+        return self.predict(x)

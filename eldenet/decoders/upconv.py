@@ -104,5 +104,4 @@ class UpConvDecoder(Decoder):
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:
         """Features, finest first -> raw map ``(B, 1, h, w)``."""
-        raw = self.predict(self.modules_up(self.reduce(features[self.deepest])))
-        return self.within_image(raw, features)
+        return self.predict(self.modules_up(self.reduce(features[self.deepest])))

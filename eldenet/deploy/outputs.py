@@ -14,7 +14,7 @@ from eldenet.data.paths import composed, natural_order, visible_files
 from eldenet.deploy.video_files import VIDEO_ENDINGS
 from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
 from eldenet.system.errors import warn_once
-from eldenet.system.files import part_file, read_json, write_text
+from eldenet.system.files import read_json, write_bytes, write_text
 from eldenet.uncertainty import UNSURE, DepthEstimate, as_estimate
 from eldenet.visualization import photo_beside_depth, photo_beside_sigma, visible_range, write_picture
 
@@ -236,8 +236,7 @@ def write_ply(path: Path, points: np.ndarray, colors: np.ndarray) -> int:
         f"ply\nformat binary_little_endian 1.0\ncomment camera frame, meters: x right, y down, z forward\n"
         f"element vertex {len(vertices)}\n{properties}end_header\n"
     )
-    with part_file(path) as unfinished:
-        unfinished.write_bytes(header.encode("ascii") + vertices.tobytes())
+    write_bytes(path, header.encode("ascii") + vertices.tobytes())
     return len(vertices)
 
 

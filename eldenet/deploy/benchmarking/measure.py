@@ -13,14 +13,9 @@ import numpy as np
 import torch
 
 from eldenet.deploy import runtimes
+from eldenet.deploy.benchmarking.rows import COLUMNS
 from eldenet.system.timing import Waiting, median_ms, percentile_ms, time_interleaved
 
-COLUMNS = (
-    *("model", "height", "width", "batch", "runtime", "precision", "threads", "device"),
-    *("params", "gmacs", "gflops", "latency_ms_p50", "latency_ms_p95", "fps", "throughput_img_s"),
-    *("peak_memory_mb", "file_mb", "gflops_per_s", "share_of_peak", "ratio_latency"),
-)
-KEY = COLUMNS[:8]
 PEAK_SIDE = 1024  # of the square matrices whose product gives the peak
 PEAK_DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 

@@ -14,11 +14,15 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 ROWS_FILE = "rows.jsonl"
-FIGURES: tuple[str, ...] = ("height", "width", "batch", "threads", "params", "gmacs", "gflops", "fps")
-FIGURES += ("latency_ms_p50", "latency_ms_p95", "ratio_latency", "throughput_img_s", "peak_memory_mb")
-FIGURES += ("file_mb", "gflops_per_s", "share_of_peak")
-ROW: tuple[str, ...] = ("key", "model", "runtime", "precision", "device", "command", "date", "processor")
-ROW += ("versions", "failed", *FIGURES)
+COLUMNS = (
+    *("model", "height", "width", "batch", "runtime", "precision", "threads", "device"),
+    *("params", "gmacs", "gflops", "latency_ms_p50", "latency_ms_p95", "fps", "throughput_img_s"),
+    *("peak_memory_mb", "file_mb", "gflops_per_s", "share_of_peak", "ratio_latency"),
+)
+KEY = COLUMNS[:8]
+TEXTS = ("model", "runtime", "precision", "device")
+FIGURES = tuple(name for name in COLUMNS if name not in TEXTS)
+ROW = (*COLUMNS, "key", "command", "date", "processor", "versions", "failed")
 PACKAGES = ("eldenet", "torch", "onnxruntime", "openvino", "nncf", "numpy")
 
 

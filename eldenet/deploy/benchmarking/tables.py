@@ -5,6 +5,8 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldenet.deploy.benchmarking.rows import COLUMNS, KEY
+
 if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
 
@@ -17,7 +19,6 @@ def write_results(
     rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, output: Path, log: "RunLog"
 ) -> None:
     """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded) and ``.png``; print the table."""
-    from eldenet.deploy.benchmarking.measure import COLUMNS, KEY
     from eldenet.results.tables import to_latex, to_markdown
     from eldenet.system.files import write_rows, write_text
 
