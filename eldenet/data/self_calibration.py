@@ -165,7 +165,7 @@ class _Drive(NamedTuple):
 def _fitted(drive: _Drive, starts: Sequence[np.ndarray], free: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """The best fit of ``free`` ones of ln focal, pitch, yaw, ahead ``(4,)``, and which are sure ``(4,)``."""
     found = [_fit(drive, start, free) for start in starts]
-    best = min(found, key=lambda one: one[1])[0]
+    best, _, sigma = min(found, key=lambda one: one[1])
     within = (np.abs(best) < np.multiply(0.98, LIMITS)).all()
     agree = np.mean(np.abs(_off_line(best, drive)) < ON_LINE)
     if agree < LEAST_SHARE or not within:
@@ -173,11 +173,12 @@ def _fitted(drive: _Drive, starts: Sequence[np.ndarray], free: list[int]) -> tup
     ends = np.linspace(0, len(drive.pairs), PARTS + 1).astype(int).tolist()
     rests = [[*drive.pairs[:i], *drive.pairs[j:]] for i, j in pairwise(ends)]
     without = [_fit(drive._replace(pairs=rest), best, free)[0] for rest in rests]
-    return best, np.std(without, axis=0) * math.sqrt(PARTS - 1) < SURE
+    # all fits agree on what hardly moves a corner, too: they stay where they start
+    return best, np.hypot(np.std(without, axis=0) * math.sqrt(PARTS - 1), sigma) < SURE
 
 
-def _fit(drive: _Drive, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float]:
-    """The nearest fit to ``start (4,)`` and its cost."""
+def _fit(drive: _Drive, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float, np.ndarray]:
+    """The nearest fit to ``start (4,)``, its cost, and sigma ``(4,)`` by the corners' errors."""
     from scipy.optimize import least_squares
 
     limits = np.array(LIMITS)[free]
@@ -191,7 +192,10 @@ def _fit(drive: _Drive, start: np.ndarray, free: list[int]) -> tuple[np.ndarray,
         lambda values: _off_line(camera(values), drive),
         start[free], bounds=(-limits, limits), loss="cauchy", f_scale=TRACK_ERROR, x_scale=0.1,
     )  # fmt: skip
-    return camera(solved.x), float(solved.cost)
+    sigma = np.zeros(4)
+    steepness = solved.jac.T @ solved.jac + 1e-9 * np.eye(len(free))
+    sigma[free] = TRACK_ERROR * np.sqrt(np.diag(np.linalg.inv(steepness)))
+    return camera(solved.x), float(solved.cost), sigma
 
 
 def _off_line(camera: np.ndarray, drive: _Drive) -> np.ndarray:
