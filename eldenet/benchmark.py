@@ -16,13 +16,7 @@ from typing import TYPE_CHECKING, Any
 import eldenet
 from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.compose import listed
-from eldenet.deploy.benchmarking.rows import (
-    append_rows,
-    machine,
-    network_digest,
-    other_machine,
-    read_rows,
-)
+from eldenet.deploy.benchmarking.rows import append_rows, machine, network_digest, other_machine, read_rows
 from eldenet.deploy.benchmarking.tables import read_accuracies, write_results
 from eldenet.deploy.metadata import describe, is_whole
 from eldenet.deploy.openvino_export import quantize_openvino, write_openvino

@@ -103,7 +103,8 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
             :class:`Configurable` class, does not take its arguments, or sets a transient argument (which
             could download or read any file).
     """
-    _refuse_text(trusted_modules)
+    if isinstance(trusted_modules, str):
+        raise ValueError(f"trusted_modules={trusted_modules!r}: give a list, [{trusted_modules!r}]")
     if isinstance(config, Mapping):
         arguments = {key: build(value, trusted_modules) for key, value in config.items() if key[:1] != "_"}
         if "_target_" not in config:
@@ -131,7 +132,7 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
 def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
     module, _, name = target.rpartition(".")
     trusted = (*TRUSTED_MODULES, *trusted_modules)
-    if not _within(module, trusted):
+    if not any(module == one or module.startswith(f"{one}.") for one in trusted):
         raise ValueError(
             f"refused to build {target!r}: its module is not one of {', '.join(trusted)}. If you trust that "
             f"code, add 'trusted_modules=[{module}]' (in Python trusted_modules=[{module!r}])"
@@ -143,15 +144,6 @@ def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
     if not (isinstance(part, type) and issubclass(part, Configurable)):
         raise ValueError(f"refused to build {target!r}: not a Configurable class of {module}")
     return part
-
-
-def _within(name: str, modules: Sequence[str]) -> bool:
-    return any(name == module or name.startswith(f"{module}.") for module in modules)
-
-
-def _refuse_text(trusted_modules: Sequence[str]) -> None:
-    if isinstance(trusted_modules, str):
-        raise ValueError(f"trusted_modules={trusted_modules!r}: give a list, [{trusted_modules!r}]")
 
 
 # --- the user's own settings --------------------------------------------------------------------------------

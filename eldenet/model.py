@@ -11,13 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from eldenet.backbones.base import Backbone
-from eldenet.backbones.weights import (
-    IMAGENET_MEAN,
-    IMAGENET_STD,
-    load_weights,
-    read_weights,
-    until_stalled,
-)
+from eldenet.backbones.weights import IMAGENET_MEAN, IMAGENET_STD, load_weights, read_weights, until_stalled
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.geometry import in_meters

@@ -77,25 +77,21 @@ def main(words: Sequence[str] | None = None) -> None:
     Args:
         words: of the command line; None: those of this process.
     """
-    with terminal():
-        _main(sys.argv[1:] if words is None else list(words))
-
-
-def _main(words: Sequence[str]) -> None:
-    first, *rest = list(words) or ["--help"]
+    first, *rest = list(sys.argv[1:] if words is None else words) or ["--help"]
     name = first.replace("_", "-")
-    if first in ("-h", "--help", "help"):
-        _print(command_list())
-    elif first == "--version":
-        import eldenet
+    with terminal():
+        if first in ("-h", "--help", "help"):
+            _print(command_list())
+        elif first == "--version":
+            import eldenet
 
-        _print(f"eldenet {eldenet.__version__}")
-    elif name == "completion":
-        _print(completion(rest[0] if rest else ""))
-    elif name in COMMANDS:
-        _start(name, rest)
-    else:
-        _fail(unknown(first))
+            _print(f"eldenet {eldenet.__version__}")
+        elif name == "completion":
+            _print(completion(rest[0] if rest else ""))
+        elif name in COMMANDS:
+            _start(name, rest)
+        else:
+            _fail(unknown(first))
 
 
 def command_list() -> str:

@@ -12,13 +12,7 @@ import numpy as np
 from eldenet.deploy.runtimes.base import Runtime, check_depth
 from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
-from eldenet.geometry import (
-    BORDER_COLOR,
-    fit_into,
-    focal_length,
-    resize_image,
-    size_of_aspect,
-)
+from eldenet.geometry import BORDER_COLOR, fit_into, focal_length, resize_image, size_of_aspect
 from eldenet.system.resources import check_torch_device, full_fp32
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 

@@ -11,13 +11,7 @@ from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera
 from eldenet.navigation.ranges import CAUTION, MOST_TILTED, columns_of, depth_to_ranges, footprints_to_ranges
-from eldenet.navigation.sensors import (
-    FED_BY,
-    Drift,
-    Observation,
-    SensorInstance,
-    SimulatedSensor,
-)
+from eldenet.navigation.sensors import FED_BY, Drift, Observation, SensorInstance, SimulatedSensor
 from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method

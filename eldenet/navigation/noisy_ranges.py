@@ -6,13 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.navigation.range_errors import RangeErrors, segments
-from eldenet.navigation.sensors import (
-    Drift,
-    Observation,
-    Ranges,
-    SensorInstance,
-    SimulatedSensor,
-)
+from eldenet.navigation.sensors import Drift, Observation, Ranges, SensorInstance, SimulatedSensor
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 

@@ -5,13 +5,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
-from eldenet.simulation.arenas import (
-    KINDS,
-    Arena,
-    clearance_map,
-    draw_start_and_goal,
-    generate_arena,
-)
+from eldenet.simulation.arenas import KINDS, Arena, clearance_map, draw_start_and_goal, generate_arena
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.system.checks import one_of
 

@@ -16,13 +16,7 @@ from eldenet.data.splits import evenly_spaced
 from eldenet.deploy.prediction import Source
 from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile
-from eldenet.geometry import (
-    PinholeCamera,
-    check_intrinsics,
-    intrinsic_matrix,
-    level_rotation,
-    resize_image,
-)
+from eldenet.geometry import PinholeCamera, check_intrinsics, intrinsic_matrix, level_rotation, resize_image
 from eldenet.perception.ground import MAX_SLOPE, GroundPlane, fit_ground, floor_tolerance
 from eldenet.results.before_after import (
     check_scale,
