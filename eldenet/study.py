@@ -58,7 +58,7 @@ def study(s: StudySettings) -> None:
     refuse_unknown_seeds(plan.chosen(s.rows), seeds)  # a sweep's job runs one of these rows
     rows = plan.chosen(s.rows if s.row is None else s.row)
     options: dict[str, Any] = {"seeds": seeds, "rerun": s.rerun, "given": s.given}
-    if len(rows) > 1:  # better now than when its turn comes
+    if s.row is None:  # better now than when its turn comes
         refuse_wrong_rows(plan, rows, Path(s.output), **options)
     outcomes = [
         outcome for row in rows for outcome in run_row(plan, row, Path(s.output), say=log.say, **options)

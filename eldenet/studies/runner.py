@@ -7,12 +7,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from eldenet.cli.help import advice
 from eldenet.compose import compose
 from eldenet.results.fingerprints import fingerprints, run_differences
 from eldenet.results.packed_runs import RUNS, add_record, pack
 from eldenet.results.run_record import read_run
 from eldenet.studies.matching import refuse_missing, run_overrides, search_differences
 from eldenet.studies.plan import RATE, Study, StudyRow, rate_name, run_name, training_settings
+from eldenet.system.errors import first_line
 from eldenet.system.files import FolderInUse, sole_writer, write_text
 from eldenet.train import TrainSettings, checked_parts, train
 from eldenet.training.resume import check_finished
@@ -101,7 +103,7 @@ def refuse_wrong_rows(
                 if not any("{runs}" in word for word in shared):  # it may need a run that is still to come
                     checked_parts(settings)
             except Exception as error:
-                wrong.append(f"row {row.name}: {' '.join(str(error).split())}")
+                wrong.append(f"row {row.name}: {advice('train', words) or first_line(error)}")
                 break
     if wrong:
         raise ValueError(f"nothing was trained, since settings are wrong: {'; '.join(wrong)}")
