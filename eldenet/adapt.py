@@ -204,7 +204,8 @@ def main(s: AdaptSettings) -> None:
         refuse_unread(unread, "poses= or a bag makes the frames, from source=")
     elif s.camera_height is None:
         refuse_unread(
-            ("source", "frames", "camera_pitch", "camera_ahead"), "only poses= or camera_height= reads it"
+            ("source", "frames", "camera_pitch", "camera_ahead"),
+            "give poses= or camera_height=, too",
         )
     else:
         unread = ("data", "loss", "optimizer", "scheduler", "augmentation", "trainer", "protocol", "minutes")

@@ -41,7 +41,7 @@ def test_a_second_adapt_in_one_folder_is_refused(run_command, tmp_path, kind):
             "camera_ahead: camera_height fits the scale alone",
         ),
         ("data.root=. seed=-1", "seed=-1: give 0 or more"),
-        ("data.root=. camera_ahead=0.1", "camera_ahead: only poses= or camera_height= reads it"),
+        ("data.root=. camera_ahead=0.1", "camera_ahead: give poses= or camera_height=, too"),
     ],
 )
 def test_settings_of_a_drive_that_do_not_fit_are_refused(run_command, tmp_path, words, said):
