@@ -26,6 +26,8 @@ COMMANDS = {
     "navigate": "drive a simulated robot by depth; evaluate or train its driver",
 }
 
+COMPLETION = 'give bash or zsh, as in ~/.bashrc: eval "$(eldenet completion bash)"'
+
 # Hydra completes the settings of a command: it reads COMP_LINE and drops its first word. Names of files may
 # hold anything, so no script here reads them: the shell itself completes and quotes them.
 _BASH = """\
@@ -112,8 +114,10 @@ def command_list() -> str:
 
 def completion(shell: str) -> str:
     """Return the script that makes a shell complete commands and their settings."""
+    if shell in ("-h", "--help"):
+        return COMPLETION
     if shell not in SCRIPTS:
-        _fail('give bash or zsh, as in ~/.bashrc: eval "$(eldenet completion bash)"')
+        _fail(COMPLETION)
     return SCRIPTS[shell].replace("NAMES", " ".join(COMMANDS)).rstrip()
 
 

@@ -192,8 +192,9 @@ def _unread(config_name: str, word: str) -> str:
     if equals:
         return f"{word} cannot be read: {QUOTES}"
     known = _settings(config_name, [])
-    if "source" in known and os.path.exists(word):
-        return f"{word} cannot be read: write source={word}"
+    reader = next((name for name in ("source", "checkpoint", "runs", "models", "study") if name in known), "")
+    if reader and os.path.exists(word):
+        return f"{word} cannot be read: write {reader}={word}"
     name = word if word in known else "setting"
     return f"{word} cannot be read: write {name}=value (--help lists all settings)"
 

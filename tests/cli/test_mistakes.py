@@ -90,6 +90,8 @@ def answer(line: str) -> str:
         # words that are no settings
         ("train data.input_size=[1,2", f"data.input_size=[1,2 cannot be read: {QUOTES}"),
         (f"predict {__file__}", f"{__file__} cannot be read: write source={__file__}"),
+        (f"export {__file__}", f"{__file__} cannot be read: write checkpoint={__file__}"),
+        (f"report {__file__}", f"{__file__} cannot be read: write runs={__file__}"),
         ("train trainer.epochs = 3", "trainer.epochs cannot be read: write trainer.epochs=value"),
         ("train =3", "=3 cannot be read: write setting=value, with the name of a setting"),
         ("train help", "help cannot be read: write setting=value (--help lists all settings)"),
