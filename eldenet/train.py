@@ -112,6 +112,7 @@ def checked_parts(
     """
     from eldenet.evaluation.splits import chosen_protocol
     from eldenet.training.initialization import canonical_camera, check_loss, check_range, initial_model
+    from eldenet.training.optim import build_optimizer, frozen_parts
 
     protocol = chosen_protocol(s.data, s.protocol)
     loss = instantiate(s.loss, "loss")
@@ -127,6 +128,11 @@ def checked_parts(
     model = initial_model(network, s.seed, weights, _trusted(s))
     check_loss(loss, model, s.teacher)
     check_range(model, s.data)
+    frozen_parts(model, trainer.freeze)
+    try:
+        build_optimizer(trainer.make_optimizer, model, loss, backbone_lr_factor=trainer.backbone_lr_factor)
+    except ValueError as error:  # torch's do not say whose value is wrong
+        raise ValueError(f"optimizer: {error}") from error
     return protocol, loss, trainer, network
 
 
