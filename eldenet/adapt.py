@@ -22,7 +22,7 @@ from eldenet.compose import REQUIRED, compose
 from eldenet.data.bags import Bag, is_bag
 from eldenet.data.drive_poses import Mount, read_poses
 from eldenet.data.splits import check_folders
-from eldenet.geometry import check_camera_height, intrinsic_matrix
+from eldenet.geometry import check_camera_height, four_numbers, intrinsic_matrix
 from eldenet.system.checks import at_least
 from eldenet.system.files import sole_writer
 from eldenet.system.resources import choose_resources
@@ -168,7 +168,7 @@ def _label(s: AdaptSettings) -> AdaptSettings:
     data |= {part: {**s.data[part], **read} for part in ("train", "val", "test")}
     at_points = compose(AdaptSettings, ["loss=l1_sparse", "loss.terms.l1.space=log"]).loss
     left = max(s.minutes - (time.monotonic() - started) / 60, s.minutes / 10)
-    found = [round(float(lens[at]), 1) for at in ((0, 0), (1, 1), (0, 2), (1, 2))]
+    found = [round(number, 1) for number in four_numbers(lens)]
     return replace(s, data=data, loss=at_points, minutes=left, intrinsics=found)
 
 

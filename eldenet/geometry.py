@@ -38,6 +38,11 @@ def pinhole(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+def four_numbers(intrinsics: np.ndarray) -> list[float]:
+    """``[fx, fy, cx, cy]`` of a matrix ``(3, 3)`` [px]: the inverse of :func:`pinhole`."""
+    return [float(intrinsics[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))]
+
+
 def intrinsic_matrix(intrinsics: Sequence[Any] | np.ndarray, *, check: bool = True) -> np.ndarray:
     """Return intrinsics given as ``(fx, fy, cx, cy)`` or ``(3, 3)`` [px] as the matrix ``(3, 3)`` float64.
 

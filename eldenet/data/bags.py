@@ -10,7 +10,7 @@ import numpy as np
 
 from eldenet.data.file_checks import decode_picture
 from eldenet.data.ros_messages import COLORS, is_distorted, read_color, read_intrinsics, read_pose, seconds
-from eldenet.geometry import intrinsic_matrix
+from eldenet.geometry import four_numbers, intrinsic_matrix
 from eldenet.system.errors import reading
 from eldenet.system.extras import require
 from eldenet.system.files import write_rows
@@ -73,7 +73,7 @@ class Bag:
                 f"{self.path} needs a CameraInfo of a calibrated camera beside {self._pictures}, and has "
                 f"{', '.join(self._topics(LENS)) or 'none'}: give intrinsics=[fx,fy,cx,cy] [px] or fov="
             )
-        return [float(self._lens[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]
+        return four_numbers(self._lens)
 
     @contextmanager
     def _open(self) -> Iterator[Any]:

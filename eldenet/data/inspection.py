@@ -14,6 +14,7 @@ from eldenet.data.base import DepthDataset
 from eldenet.data.io import ENCODINGS, Encoding, depth_encoding
 from eldenet.data.mix import Mix
 from eldenet.data.splits import SPLITS, evenly_spaced, same_splits, subset_of
+from eldenet.geometry import four_numbers
 
 PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
 LEAST_FRAMES, MOST_FARTHER = 5, 0.6  # frames; share of them that is farther below (real depth: up to 0.25)
@@ -200,7 +201,7 @@ def check_split(
         if intrinsics is not None:
             found.with_intrinsics += 1
             if found.intrinsics is None:
-                found.intrinsics = [float(intrinsics[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))]
+                found.intrinsics = four_numbers(intrinsics)
     found.sizes = dict(sizes.most_common())
     found.histogram = coarse.tolist()
     found.valid, found.outside = valid / max(pixels, 1), outside / max(pixels, 1)

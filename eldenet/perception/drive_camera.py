@@ -10,7 +10,7 @@ from eldenet.data.depth_from_motion import MotionDepth
 from eldenet.data.drive_poses import DrivePoses
 from eldenet.data.self_calibration import CameraFit, find_pairs, fit_camera, floor_below
 from eldenet.deploy.prediction import Source
-from eldenet.geometry import check_intrinsics, intrinsic_matrix, level_rotation, pinhole
+from eldenet.geometry import check_intrinsics, four_numbers, intrinsic_matrix, level_rotation, pinhole
 from eldenet.perception.drive_labels import place_frames
 from eldenet.results.run_log import RunLog
 
@@ -144,4 +144,4 @@ def _mounted(
 
 
 def _said(matrix: np.ndarray) -> str:
-    return "[" + ",".join(f"{matrix[at]:.1f}" for at in ((0, 0), (1, 1), (0, 2), (1, 2))) + "]"
+    return "[" + ",".join(f"{number:.1f}" for number in four_numbers(matrix)) + "]"

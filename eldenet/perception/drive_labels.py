@@ -13,7 +13,7 @@ from eldenet.data.frame_files import seconds_of
 from eldenet.data.io import read_image
 from eldenet.deploy.prediction import Source
 from eldenet.deploy.video_files import VideoFile
-from eldenet.geometry import check_intrinsics, intrinsic_matrix, nearest_points
+from eldenet.geometry import check_intrinsics, four_numbers, intrinsic_matrix, nearest_points
 from eldenet.results.run_log import RunLog
 from eldenet.system.files import safe_stem
 from eldenet.visualization import write_picture
@@ -84,8 +84,7 @@ def label_drive(
         f"{written} of {len(counts)} pictures along {travel:.1f} m have {LEAST_POINTS} or more corners of "
         f"known depth (median {np.median(counts):.0f})"
     )
-    seen = depth.seen_intrinsics
-    return [float(seen[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]
+    return four_numbers(depth.seen_intrinsics)
 
 
 def _during(source: Source | Bag, poses: DrivePoses) -> np.ndarray:
