@@ -83,6 +83,16 @@ class CallableDetector:
             if unknown := sorted({*map(str, label.flat)} - {*self.names}):
                 raise ValueError(f"labels {some_of(unknown, 3)} are not in names: name every class")
             label = np.array([self.names.index(name) for name in label.flat])
+        if xyxy.size != 4 * score.size or label.size != score.size:
+            raise ValueError(
+                f"the detector returned shapes {xyxy.shape}, {score.shape}, {label.shape}: return boxes "
+                "(N, 4), scores (N,), labels (N,), in this order"
+            )
+        if label.size and not (np.all(label == np.rint(label)) and np.all((score >= 0) & (score <= 1))):
+            raise ValueError(
+                f"the detector returned scores {_span(score)} and labels {_span(label)}: return boxes, "
+                "scores from 0 to 1, labels as whole numbers or names, in this order"
+            )
         return Detections2D(
             from_corner(xyxy.reshape(-1, 4)),
             score.reshape(-1),
@@ -90,6 +100,10 @@ class CallableDetector:
             self.names,
             self.box_style,
         )
+
+
+def _span(values: np.ndarray) -> str:
+    return f"{values.min():g} to {values.max():g}"
 
 
 class TorchvisionDetector:

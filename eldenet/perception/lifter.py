@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D, wrap_half
-from eldenet.geometry import CameraLike, as_camera, check_intrinsics
+from eldenet.geometry import CameraLike, as_camera, check_intrinsics, check_meters
 from eldenet.perception.box_methods import ObjectEvidence, RawBoxes, fitted_boxes, lshape_boxes, paper_boxes
 from eldenet.perception.foreground import border_cuts, gather, trusted_edges
 from eldenet.perception.ground import GroundPlane, fit_ground, flat_ground
@@ -26,6 +26,7 @@ SMALL_SIDE, LARGE_SIDE = 10.0, 100.0  # [px]: shorter sides of 2D boxes
 NETWORK_SIGMA, SENSOR_SIGMA = (0.15, 0.5), (0.01, 0.01)
 DOUBTFUL_COST = 6.0  # of a fit whose cues contradict each other
 _SPARSE = 0.25  # of the pixels: a map of which fewer are known is a LiDAR's
+MOST_BEYOND = 1.5  # of the picture's width or height: boxes that reach farther are another picture's
 _MAX_MEDIAN_DEPTH = 100.0  # [m]: beyond, the depth is probably in millimeters
 
 
@@ -105,7 +106,7 @@ class BoxLifter:
 
         Args:
             depth: ``(H, W)`` [m]; 0, negative and not finite are unknown. Or depth with its sigma.
-            detections: in pixels of the depth map.
+            detections: in pixels of the depth map; boxes are cut to it.
             camera: of the image, or its intrinsics, ``(3, 3)`` or ``(fx, fy, cx, cy)`` [px].
 
         Raises:
@@ -118,20 +119,28 @@ class BoxLifter:
         """
         estimate, camera = as_estimate(depth), as_camera(camera)
         depth = np.asarray(estimate.depth)
+        estimate = estimate._replace(depth=depth)  # from a tensor, too
         if depth.ndim != 2:
             raise ValueError(f"depth of shape {depth.shape}: give (H, W) in meters")
+        if depth.dtype.kind in "iub":
+            check_meters(depth)
         height, width = depth.shape
         count = len(detections)
         if not count:
             return Boxes3D.empty(detections.names)
         reach = detections.xyxy[:, 2:].max(0)
-        if reach[0] > width + 4 or reach[1] > height + 4:
+        ends = np.array([width - 0.5, height - 0.5])
+        inside = np.clip(detections.xyxy, -0.5, np.tile(ends, 2))
+        outside = np.flatnonzero(((detections.xyxy[:, 2:] < -0.5) | (detections.xyxy[:, :2] > ends)).any(1))
+        if outside.size or reach[0] > MOST_BEYOND * width or reach[1] > MOST_BEYOND * height:
+            wrong = detections.xyxy[outside[0] if outside.size else detections.xyxy[:, 2:].max(1).argmax()]
             raise ValueError(
-                f"boxes reach column {reach[0]:.0f} and row {reach[1]:.0f}, depth is {height} x {width}: "
-                "give both for the same image"
+                f"box {wrong.round(1).tolist()}, but the depth is {height} x {width}: give both for the same "
+                "image, boxes as left, top, right, bottom"
             )
         if reach.max() <= 1:
             raise ValueError("no box reaches beyond the first pixel: give pixels, not shares of the picture")
+        detections = replace(detections, xyxy=inside)
         check_intrinsics(camera.intrinsics, (height, width))
         _warn_of_odd_depth(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from eldenet.boxes import Box3D, Boxes3D, Detections2D
-from eldenet.deploy.predictor import for_camera
+from eldenet.deploy.predictor import check_frame, for_camera
 from eldenet.deploy.viewer import WORLD, log_boxes, log_camera, log_depth
 from eldenet.geometry import CameraLike, PinholeCamera, as_camera
 from eldenet.perception.detectors import Detector
@@ -139,6 +139,7 @@ class Perception:
             ValueError: the image is not uint8 RGB, depth or intrinsics do not fit it, or depth or camera are
                 unknown.
         """
+        check_frame(image)
         given = self.camera if camera is None else camera
         if given is None:
             raise ValueError("Perception has no camera: give camera=")

@@ -33,6 +33,10 @@ def test_a_function_may_name_its_classes():
         CallableDetector(lambda frame: (WANTED, [0.5, 0.6], ["dog", "car"]), ("car",))(FRAME)
     with pytest.raises(ValueError, match="the detector returned a ndarray: return three arrays"):
         CallableDetector(lambda frame: np.zeros((2, 6)), ("car",))(FRAME)
+    with pytest.raises(ValueError, match=r"shapes \(2,\), \(2,\), \(2, 4\): return boxes \(N, 4\), scores"):
+        CallableDetector(lambda frame: ([0, 1], [0.5, 0.6], WANTED), ("car", "dog"))(FRAME)
+    with pytest.raises(ValueError, match=r"scores 0 to 1 and labels 0\.5 to 0\.6: return boxes, scores"):
+        CallableDetector(lambda frame: (WANTED, [0, 1], [0.5, 0.6]), ("car", "dog"))(FRAME)
     with pytest.raises(ValueError, match="labels are float64: give whole numbers"):
         Detections2D(WANTED, np.ones(2), np.zeros(2), ("car",))
 

@@ -287,7 +287,9 @@ def test_settings_out_of_range_are_refused(options, message):
 def test_depth_and_boxes_of_different_images_or_units_are_refused():
     depth, xyxy = block((-2.0, 0.85, 12.0))
     for given, found, message in (
-        (depth[:60, :160], xyxy, "boxes reach .* for the same image"),
+        (depth[:60, :160], xyxy, "box .*, but the depth is 60 x 160: .* for the same image"),
+        (depth, xyxy - (2000, 0, 2000, 0), "box .*-.* for the same image"),
+        ((1000 * depth).astype(np.uint16), xyxy, "type uint16: give meters"),
         (depth[None], xyxy, "shape"),
         (depth, xyxy / np.tile(depth.shape[::-1], 2), "give pixels, not shares of the picture"),
     ):
@@ -295,6 +297,16 @@ def test_depth_and_boxes_of_different_images_or_units_are_refused():
             BoxLifter()(given, detection(found), CAMERA)
     with pytest.warns(UserWarning, match="millimeters"):
         BoxLifter()(depth * 1000, detection(xyxy), CAMERA)
+
+
+def test_a_box_that_reaches_beyond_the_picture_counts_up_to_its_border():
+    depth, xyxy = block((-2.0, 0.85, 12.0))
+    width = depth.shape[1]
+    cut, beyond = xyxy.copy(), xyxy.copy()
+    cut[:, 2], beyond[:, 2] = width - 0.5, 1.2 * width
+    first, second = (BoxLifter()(depth, detection(each), CAMERA) for each in (cut, beyond))
+    np.testing.assert_array_equal(first.center, second.center)
+    assert second.quality["truncated"].tolist() == [1.0]
 
 
 def test_sigma_sets_the_interval_of_a_distance():
