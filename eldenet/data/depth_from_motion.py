@@ -44,6 +44,7 @@ class View(NamedTuple):
     image: np.ndarray  # (H, W, 3) uint8 RGB, at most MOST_WIDTH wide
     gray: np.ndarray  # the same in gray, (H, W)
     pose: np.ndarray  # (4, 4) camera to world [m]
+    seconds: float | None = None  # when it was taken, if that is known [s]
 
 
 class Points(NamedTuple):
@@ -73,10 +74,10 @@ class MotionDepth:
         """``(3, 3)`` [px] of the views."""
         return resize_intrinsics(self.intrinsics, self.size, self.seen_size)
 
-    def view(self, name: str, picture: np.ndarray, pose: np.ndarray) -> View:
-        """Return a picture ``(H, W, 3)`` uint8 RGB at a pose ``(4, 4)`` as a view."""
+    def view(self, name: str, picture: np.ndarray, pose: np.ndarray, seconds: float | None = None) -> View:
+        """Return a picture ``(H, W, 3)`` uint8 RGB at a pose ``(4, 4)`` and a time [s] as a view."""
         image = resize_image(picture, self.seen_size)
-        return View(name, image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), pose)
+        return View(name, image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), pose, seconds)
 
     def along(self, views: Iterable[View], spacing: float) -> Iterator[tuple[View, Points]]:
         """Yield a view each ``spacing`` [m] of travel with its points; few views are kept in memory."""

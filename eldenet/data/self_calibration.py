@@ -36,11 +36,12 @@ SAME_FLOOR, LEAST_AGREE = 0.05, 4  # ln by which the floor of a part may differ,
 
 
 class Pair(NamedTuple):
-    """Corners of a picture and of a later one ``(N, 2)`` [px], and the motion between ``(4, 4)`` [m]."""
+    """Corners of a picture and of a later one."""
 
-    here: np.ndarray
-    there: np.ndarray
-    motion: np.ndarray
+    here: np.ndarray  # (N, 2) [px]
+    there: np.ndarray  # (N, 2) [px]
+    motion: np.ndarray  # (4, 4) between the two [m]
+    times: tuple[float, float] | None = None  # of the two, if they are known [s]
 
 
 class CameraFit(NamedTuple):
@@ -72,11 +73,12 @@ def find_pairs(views: Iterable[View]) -> list[Pair]:
 
 def _tracked(one: View, other: View) -> Pair:
     motion = np.linalg.inv(other.pose) @ one.pose
+    times = None if one.seconds is None or other.seconds is None else (one.seconds, other.seconds)
     corners = cv2.goodFeaturesToTrack(one.gray, CORNERS, 0.01, max(3, SPACING * one.gray.shape[1]))
     if corners is None:
-        return Pair(np.empty((0, 2)), np.empty((0, 2)), motion)
+        return Pair(np.empty((0, 2)), np.empty((0, 2)), motion, times)
     there, good = there_and_back(one.gray, other.gray, corners[:, 0], THERE_AND_BACK, maxLevel=4)
-    return Pair(corners[good, 0].astype(np.float64), there[good].astype(np.float64), motion)
+    return Pair(corners[good, 0].astype(np.float64), there[good].astype(np.float64), motion, times)
 
 
 def fit_camera(pairs: Sequence[Pair], intrinsics: np.ndarray, forward: np.ndarray | None = None) -> CameraFit:
@@ -152,6 +154,20 @@ def _lowest_peak(heights: np.ndarray) -> float:
     above = density[np.maximum(peaks - round(ABOVE / step), 0)]
     sharp = peaks[(density[peaks] > LEAST_PEAK * density.max()) & (density[peaks] > SHARP * above)]
     return float(HEIGHTS[sharp[-1]]) if len(sharp) else math.nan
+
+
+def fit_error(
+    pairs: Sequence[Pair],
+    intrinsics: np.ndarray,
+    forward: np.ndarray | None,
+    start: np.ndarray | None,
+) -> tuple[float, np.ndarray]:
+    """Fit focal length, pitch and yaw; return the mean error of corners, and the camera for ``start``."""
+    drive = _Drive(pairs, intrinsics, np.zeros(3) if forward is None else forward)
+    free = [0] if forward is None else [0, 1, 2]
+    starts = [np.array([math.log(factor), 0, 0, 0]) for factor in STARTS] if start is None else [start]
+    camera, cost, _ = min((_fit(drive, one, free) for one in starts), key=lambda fit: fit[1])
+    return cost / sum(len(pair.here) for pair in pairs), camera
 
 
 class _Drive(NamedTuple):

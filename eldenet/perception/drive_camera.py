@@ -7,6 +7,7 @@ import numpy as np
 
 from eldenet.data.bags import Bag
 from eldenet.data.depth_from_motion import MotionDepth
+from eldenet.data.drive_clock import find_delay, moved_pairs
 from eldenet.data.drive_poses import DrivePoses
 from eldenet.data.self_calibration import CameraFit, find_pairs, fit_camera, floor_below
 from eldenet.deploy.prediction import Source
@@ -17,6 +18,7 @@ from eldenet.results.run_log import RunLog
 #: What is refused: factors of the focal length and the height (or one over them), an angle [degrees], a
 #: place [m].
 WRONG_FOCAL, WRONG_HEIGHT, WRONG_ANGLE, WRONG_AHEAD = 1.08, 1.1, 3.0, 0.1
+LEAST_DELAY = 0.03  # of the poses, that is corrected [s]
 TELLS = "drive on in curves, among things with texture"
 
 
@@ -40,7 +42,7 @@ def settle_camera(
     Raises:
         ValueError: the drive does not tell what was not given, or contradicts what was.
     """
-    _, picture, _ = next(place_frames(source, poses))
+    _, picture, _, _ = next(place_frames(source, poses))
     size = height, width = picture.shape[:2]
     if intrinsics is None:
         told = pinhole(width, width, (width - 1) / 2, (height - 1) / 2)
@@ -51,6 +53,11 @@ def settle_camera(
     frames = (frame for frame in place_frames(source, poses) if frame[1].shape == picture.shape)
     pairs = find_pairs(depth.view(*frame) for frame in frames)
     forward = None if poses.mount is None else level_rotation(poses.mount.pitch).T[:, 2]
+    delay = find_delay(pairs, poses, depth.seen_intrinsics, forward)
+    if delay is not None and poses.seconds is not None and abs(delay) > LEAST_DELAY:
+        log.say(f"by the drive, the poses are {delay:+.2f} s late for the pictures: corrected")
+        poses = replace(poses, seconds=poses.seconds - delay)
+        pairs = moved_pairs(pairs, poses, 0.0)
     fit = fit_camera(pairs, depth.seen_intrinsics, forward)
     found = told * np.array([[fit.focal or 1.0, 1, 1], [1, fit.focal or 1.0, 1], [1, 1, 1]])
     mounted = _mounted(poses, fit, pitch, ahead, log)

@@ -24,8 +24,8 @@ LEAST_SPACING = 0.05  # of labeled pictures [m]
 LONGEST_STEP = 1.0  # between two poses [m]; a longer one joins two recordings
 FEWEST_NEAR = 0.25  # of the pictures between the first and last pose: share with a pose near in time
 
-Placed = tuple[str, np.ndarray, np.ndarray]
-"""Name, picture ``(H, W, 3)`` uint8 RGB and pose ``(4, 4)`` of a frame."""
+Placed = tuple[str, np.ndarray, np.ndarray, float | None]
+"""Name, picture ``(H, W, 3)`` uint8 RGB, pose ``(4, 4)`` and time [s] of a frame."""
 
 
 def label_drive(
@@ -55,7 +55,7 @@ def label_drive(
     written = 0
 
     def views() -> Iterator[View]:
-        for name, picture, pose in (first, *placed):
+        for name, picture, pose, _ in (first, *placed):
             if picture.shape[:2] != size:
                 raise ValueError(f"{name} is {picture.shape[:2]}, the first picture {size}: give one size")
             yield depth.view(name, picture, pose)
@@ -90,7 +90,7 @@ def label_drive(
 def _during(source: Source | Bag, poses: DrivePoses) -> np.ndarray:
     """The poses ``(N, 4, 4)`` of pictures, or between a video's beginning and end; all of a bag."""
     if not (isinstance(source, Bag) or source.is_video):
-        return np.stack([pose for _, pose in _of_pictures(source, poses)])
+        return np.stack([pose for _, pose, _ in _of_pictures(source, poses)])
     if isinstance(source, Bag) or poses.seconds is None:
         return poses.cameras
     (file,) = source.names
@@ -112,20 +112,22 @@ def place_frames(source: Source | Bag, poses: DrivePoses) -> Iterator[Placed]:
         (file,) = source.names
         yield from _of_film(VideoFile(Path(file)).frames(), poses)
         return
-    for path, pose in _of_pictures(source, poses):
-        yield path.name, read_image(path, upright=True), pose
+    for path, pose, time in _of_pictures(source, poses):
+        yield path.name, read_image(path, upright=True), pose, time
 
 
-def _of_pictures(source: Source, poses: DrivePoses) -> list[tuple[Path, np.ndarray]]:
-    """The pictures whose pose is known, with it, in the order of time."""
+def _of_pictures(source: Source, poses: DrivePoses) -> list[tuple[Path, np.ndarray, float | None]]:
+    """The pictures whose pose is known, with it and their time, in the order of time."""
     paths = in_order([Path(path) for path in source.names])
-    times = [time for path in paths if (time := seconds_of(path.stem)) is not None]
+    stated = [seconds_of(path.stem) for path in paths]
+    times = [time for time in stated if time is not None]
     if poses.seconds is not None and poses.names is None and len(times) == len(paths):
         known = [poses.at(time) for time in times]
         _refuse_other_clock(poses, known, times)
     else:
-        known = poses.of_pictures(paths)
-    return [(path, pose) for path, pose in zip(paths, known, strict=True) if pose is not None]
+        known, stated = poses.of_pictures(paths), [None] * len(paths)
+    found = zip(paths, known, stated, strict=True)
+    return [(path, pose, time) for path, pose, time in found if pose is not None]
 
 
 def _of_film(frames: Iterator[tuple[np.ndarray, float]], poses: DrivePoses) -> Iterator[Placed]:
@@ -138,7 +140,7 @@ def _of_film(frames: Iterator[tuple[np.ndarray, float]], poses: DrivePoses) -> I
         known.append(poses.at(time))
         pose = known[-1]
         if pose is not None:
-            yield f"{number:06d}", picture, pose
+            yield f"{number:06d}", picture, pose, time
     _refuse_other_clock(poses, known, times)
 
 
