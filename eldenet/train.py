@@ -130,9 +130,12 @@ def checked_parts(
     check_range(model, s.data)
     frozen_parts(model, trainer.freeze)
     try:
-        build_optimizer(trainer.make_optimizer, model, loss, backbone_lr_factor=trainer.backbone_lr_factor)
+        optimizer = build_optimizer(
+            trainer.make_optimizer, model, loss, backbone_lr_factor=trainer.backbone_lr_factor
+        )
     except ValueError as error:  # torch's do not say whose value is wrong
         raise ValueError(f"optimizer: {error}") from error
+    trainer.make_scheduler(optimizer, 100, 10)
     return protocol, loss, trainer, network
 
 

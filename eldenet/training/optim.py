@@ -11,6 +11,12 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR, ReduceLROnPlateau
 
 
+def _warmup_steps(fraction: float, total_steps: int) -> int:
+    if not 0 <= fraction <= 1:
+        raise ValueError(f"scheduler.warmup_fraction={fraction:g}: give a share of the training, 0 to 1")
+    return round(fraction * total_steps)
+
+
 def _warm(step: int, warmup_steps: int) -> float:
     return min(1.0, (step + 1) / (warmup_steps + 1))
 
@@ -19,7 +25,7 @@ def constant(
     optimizer: Optimizer, total_steps: int, steps_per_epoch: int, *, warmup_fraction: float = 0.0
 ) -> LambdaLR:
     """Constant rate after a linear warm-up over ``warmup_fraction`` of the training."""
-    warmup_steps = round(warmup_fraction * total_steps)
+    warmup_steps = _warmup_steps(warmup_fraction, total_steps)
     return LambdaLR(optimizer, lambda step: _warm(step, warmup_steps))
 
 
@@ -32,7 +38,7 @@ def cosine(
     final: float = 0.0,
 ) -> LambdaLR:
     """Linear warm-up over ``warmup_fraction`` of the training, then a cosine down to ``final`` x the rate."""
-    warmup_steps = round(warmup_fraction * total_steps)
+    warmup_steps = _warmup_steps(warmup_fraction, total_steps)
 
     def factor(step: int) -> float:
         if step < warmup_steps:
@@ -56,7 +62,7 @@ def one_cycle(
     The rise takes ``warmup_fraction`` of the training. Smith & Topin 2018 ("super-convergence"): small
     networks with batch normalization tolerate large rates and learn faster with them.
     """
-    warmup_steps = max(1, round(warmup_fraction * total_steps))
+    warmup_steps = max(1, _warmup_steps(warmup_fraction, total_steps))
 
     def factor(step: int) -> float:
         if step < warmup_steps:

@@ -93,6 +93,7 @@ def test_a_damaged_picture_is_one_line_also_where_workers_read_it(run_command, t
     [
         *("trainer.monitor=accuracy", "ckpt_path=none.pt", "weights=nowhere", "weights=resnet18_upconv"),
         *("model.backbone.scale=0.33", "model.head.max_depth=5.5", "optimizer.lr=-1"),
+        "scheduler.warmup_fraction=3",
         ["teacher=nowhere", "loss=ssim_l1_distill"],
     ],
 )
