@@ -83,7 +83,8 @@ def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
     beside = beside_prediction(model, [plain_set[index] for index in known])
     refuse_odd_depth(beside)
     scale = scale_of(beside)
-    check_scale(scale, "data.encoding, intrinsics [px] and weights", force=s["force"])
+    unit = "data.encoding" if s["source"] is None else "the meters of the poses"
+    check_scale(scale, f"{unit}, intrinsics [px] and weights", force=s["force"])
     model.rescale(scale)
     scaled = copy.deepcopy(model)
     loss = instantiate(s["loss"], "loss")
