@@ -97,7 +97,7 @@ class BoxTracker:
         Raises:
             ValueError: ``seconds`` is not above 0.
         """
-        if seconds <= 0:
+        if not 0 < seconds < np.inf:
             raise ValueError(f"seconds={seconds}: give the time since the previous frame, above 0")
         self._frames += 1
         for track in self.tracks:

@@ -66,8 +66,9 @@ def test_tracks_begin_survive_gaps_keep_their_class_and_end():
     for _ in range(3):
         tracker(Boxes3D.empty(("car", "person")), 0.1)
     assert not tracker.tracks
-    with pytest.raises(ValueError, match="seconds"):
-        tracker(boxes(here), 0.0)
+    for wrong in (0.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=f"seconds={wrong}: give"):
+            tracker(boxes(here), wrong)
 
 
 def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
