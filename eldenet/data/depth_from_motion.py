@@ -324,12 +324,8 @@ def beside_floor(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Put points that may lie on the floor nearer to it, and give up points below it.
 
-    Args:
-        inverse: depth ``(N,)`` [1/m].
-        sigma: of it.
-        rays: ``(N, 2)``.
-        rotation: world from camera ``(3, 3)``, z up.
-        height: of the camera [m].
+    Points have ``inverse`` depth ``(N,)`` [1/m], its ``sigma``, and ``rays (N, 2)``; ``rotation (3, 3)`` is
+    world from camera, z up, and ``height`` that of the camera [m].
     """
     down = -(homogeneous(rays) @ rotation.T)[:, 2]
     floor = down / height

@@ -58,11 +58,7 @@ def raw_sample(
 
 
 def color_stages(draws: Sequence[tuple[Any, Mapping[str, Any]]]) -> np.ndarray:
-    """Return the ``(6, 7)`` color changes of what was drawn from albumentations' transforms, in their order.
-
-    Raises:
-        ValueError: another transform was drawn.
-    """
+    """Return the ``(6, 7)`` color changes that were drawn from albumentations' transforms, in their order."""
     stages: list[tuple[float, ...]] = []
     for transform, drawn in draws:
         name = type(transform).__name__
@@ -121,9 +117,8 @@ def leave_out_idle(plan: Mapping[str, Tensor]) -> dict[str, Any]:
 def augment(batch: Mapping[str, Any]) -> dict[str, Any]:
     """Return a batch as the network takes it, from raw frames and their plan, all on one device.
 
-    Args:
-        batch: ``image (B, 3, H, W)`` uint8, ``depth (B, 1, H, W)`` [m] with any numbers, perhaps ``labels``,
-            and ``augmentation``, from :func:`leave_out_idle`.
+    It has ``image (B, 3, H, W)`` uint8, ``depth (B, 1, H, W)`` [m] with any numbers, perhaps ``labels``, and
+    ``augmentation``, from :func:`leave_out_idle`.
     """
     ready = {name: value for name, value in batch.items() if name != "augmentation"}
     plan = batch["augmentation"]

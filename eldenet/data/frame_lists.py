@@ -30,12 +30,10 @@ class ListedFrame(NamedTuple):
 
 
 def read_frame_list(path: Path, *, allow_outside: bool, tolerance: float) -> list[ListedFrame]:
-    """Read a list of frames in any of the formats.
+    """Read a list of frames in any of the formats; ``.json`` is Nerfstudio's ``transforms.json``.
 
-    Args:
-        path: of the list; ``.json`` is Nerfstudio's ``transforms.json``.
-        allow_outside: whether files may lie outside the data set's folder.
-        tolerance: largest difference of the two times in TUM's ``associations.txt`` [s].
+    ``allow_outside`` lets files lie outside the data set's folder; ``tolerance`` is the largest difference
+    of the two times in TUM's ``associations.txt`` [s].
     """
     if path.suffix.lower() == ".json":
         frames = _transforms(path)

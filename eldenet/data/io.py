@@ -153,11 +153,9 @@ def is_turned(path: str | Path) -> bool:
 
 
 def read_depth(path: str | Path, encoding: Encoding) -> np.ndarray:
-    """Read a depth map as float32 [m], ``(H, W)``, 0 where unknown.
+    """Read a depth map in an encoding as float32 [m], ``(H, W)``, 0 where unknown.
 
-    Args:
-        path: ``.npy``, ``.pfm``, ``.exr``, or a picture with one channel.
-        encoding: a name in ``ENCODINGS``, or ``{scale, offset, dtype}``.
+    The file is a ``.npy``, ``.pfm`` or ``.exr``, or a picture with one channel.
     """
     return decode_depth(read_raw_depth(path), encoding, path)
 

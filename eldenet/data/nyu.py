@@ -25,13 +25,8 @@ NYU_SIZE = (480, 640)
 NYU_FOCAL = 518.8579
 NYU_RANGE = (1e-3, 10.0)  # [m], of the field's tables
 
-LABELED_SPLITS = {
-    "all": ("fit", "dev", "val"),
-    "train": ("fit", "dev"),
-    "val": ("val",),
-    "fit": ("fit",),
-    "dev": ("dev",),
-}
+LABELED_SPLITS = {"all": ("fit", "dev", "val"), "train": ("fit", "dev")}
+LABELED_SPLITS |= {part: (part,) for part in ("val", "fit", "dev")}
 
 
 def nyu_intrinsics(size: tuple[int, int] = NYU_SIZE) -> np.ndarray:

@@ -72,11 +72,10 @@ class Layout:
 
     def camera(self, root: Path) -> Camera | None:
         """Return the one camera of all frames, None if there is none."""
-        file = self.camera_file(root)
-        if file is not None:
-            return read_camera(file)
-        given = self.intrinsics is not None and not isinstance(self.intrinsics, str)
-        return given_camera(self.intrinsics) if given else None
+        if isinstance(self.intrinsics, str):
+            file = self.camera_file(root)
+            return None if file is None else read_camera(file)
+        return None if self.intrinsics is None else given_camera(self.intrinsics)
 
     def frames(self, root: Path, *, strict: bool) -> dict[str, RecordedFrame]:
         """Find all frames, by their names.

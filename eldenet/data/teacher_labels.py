@@ -54,10 +54,6 @@ class TeacherLabels(FileDataset):
             length in its input sees every picture as its own camera's, so its meters are right for this
             focal length. None: unknown.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.001 to 65 m unless given.
-
-    Raises:
-        FileNotFoundError: the folder does not exist.
-        ValueError: it has no pictures, or the teacher no ``input_size``.
     """
 
     ground_truth = "raw"

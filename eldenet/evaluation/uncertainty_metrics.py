@@ -56,13 +56,10 @@ class ImageUncertainty:
 def score_image(
     depth: np.ndarray, truth: np.ndarray, spread: np.ndarray, distribution: str
 ) -> ImageUncertainty:
-    """Measure one image.
+    """Measure one image by the pixels that count, ``(N,)`` each.
 
-    Args:
-        depth: predicted, of the pixels that count ``(N,)`` [m].
-        truth: ``(N,)`` [m].
-        spread: predicted standard deviation of ln depth ``(N,)``.
-        distribution: "laplace" or "gaussian".
+    ``depth`` is predicted and ``truth`` known [m]; ``spread`` is the predicted standard deviation of ln
+    depth, of a "laplace" or "gaussian" ``distribution``.
     """
     depth, truth, spread = (values.astype(np.float64) for values in (depth, truth, spread))
     error, log_error = np.abs(depth - truth), np.abs(np.log(truth / depth))

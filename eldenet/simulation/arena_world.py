@@ -80,10 +80,8 @@ class ArenaWorld:
     def advance(self, speed: float, turn: float, seconds: float) -> bool:
         """Drive for a while and return whether the robot touched an obstacle or a wall.
 
-        Args:
-            speed: ahead [m/s].
-            turn: counter-clockwise [rad/s].
-            seconds: a multiple of 5 ms on wheels.
+        ``speed`` is ahead [m/s], ``turn`` counter-clockwise [rad/s]; on wheels, ``seconds`` is a multiple
+        of 5 ms.
         """
         if self.physics == "wheels":
             return self._drive(speed, turn, round(seconds / TIMESTEP))

@@ -22,13 +22,9 @@ class StereoArtifacts(NamedTuple):
     def apply(
         self, depth: np.ndarray, focal: float, dead: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray:
-        """Return depth as the camera would measure it; 0 is unknown.
+        """Return true depth ``(H, W)`` [m] as the camera would measure it; 0 is unknown.
 
-        Args:
-            depth: true, ``(H, W)`` [m].
-            focal: focal length fx [px].
-            dead: columns without depth.
-            rng: draws noise and mixed pixels.
+        ``focal`` is fx [px], ``dead`` the columns without depth; ``rng`` draws noise and mixed pixels.
         """
         _, width = depth.shape
         disparity = focal * self.baseline / depth
