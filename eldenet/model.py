@@ -51,8 +51,8 @@ class EncoderDecoder(Configurable, nn.Module):
         """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``."""
         raw = self.decoder(self.backbone(image))
         rows, cols = (-(-side // self.decoder.stride) for side in image.shape[-2:])
-        # doubling features gives the map of a padded image: 4 rows of stride 32 stand for 128, where it may
-        # have 97; uncropped, resizing to the image would squeeze the depth map
+        # decoders do not know the image size: a map finer than the finest feature may exceed an odd one; an
+        # export at any size drops this comparison, so `within_image` crops too
         return raw if raw.shape[-2:] == (rows, cols) else raw[..., :rows, :cols]
 
 

@@ -17,8 +17,7 @@ class Decoder(Configurable, nn.Module):
             :class:`~eldenet.model.EncoderDecoder` supplies it.
 
     Attributes:
-        stride: stride of the raw map ``(B, 1, ceil(H / stride), ceil(W / stride))``, or larger: what lies
-            beyond the image is cropped by :class:`~eldenet.model.EncoderDecoder`.
+        stride: stride of the raw map ``(B, 1, ceil(H / stride), ceil(W / stride))``.
 
     Raises:
         ValueError: two features with the same stride.
@@ -41,6 +40,16 @@ class Decoder(Configurable, nn.Module):
     def forward(self, features: Sequence[Tensor]) -> Tensor:
         """Features, finest first -> raw map ``(B, 1, h, w)`` at :attr:`stride`."""
         raise NotImplementedError
+
+    def within_image(self, raw: Tensor, features: Sequence[Tensor]) -> Tensor:
+        """Crop a raw map ``(B, 1, h, w)`` at :attr:`stride` to the image.
+
+        Doubling the deepest feature gives the map of a padded image: 4 rows of stride 32 stand for 128 rows,
+        where the image may have 97. Without the crop, resizing to the image would squeeze the depth map.
+        """
+        finest = min(self.index_of)
+        height, width = features[self.index_of[finest]].shape[-2:]
+        return raw[..., : -(-height * finest // self.stride), : -(-width * finest // self.stride)]
 
 
 def kernel_conv(in_channels: int, out_channels: int, kernel: Sequence[int]) -> list[nn.Module]:

@@ -108,4 +108,5 @@ class FastUpConvDecoder(Decoder):
                     x = self.merge[str(stride)](torch.cat((x, lateral), dim=1))
                 else:
                     x = x + lateral
-        return self.predict(x)
+        raw = self.predict(x)
+        return raw if str(self.stride) in self.lateral else self.within_image(raw, features)

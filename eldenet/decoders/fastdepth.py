@@ -89,4 +89,4 @@ class FastDepthDecoder(Decoder):
                 x = crop_or_pad(x, feature)
                 if str(stride) in self.lateral:
                     x = x + self.lateral[str(stride)](feature)
-        return self.predict(x)
+        return self.within_image(self.predict(x), features)

@@ -104,4 +104,5 @@ class UpConvDecoder(Decoder):
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:
         """Features, finest first -> raw map ``(B, 1, h, w)``."""
-        return self.predict(self.modules_up(self.reduce(features[self.deepest])))
+        raw = self.predict(self.modules_up(self.reduce(features[self.deepest])))
+        return self.within_image(raw, features)
