@@ -36,9 +36,6 @@ class Mix(DepthDataset):
             source of weight 0 is left out.
         frames: draws of an epoch.
         **options: for every source; its own settings come first.
-
-    Raises:
-        ValueError: no source has a weight, or a weight is out of range.
     """
 
     def __init__(

@@ -46,7 +46,6 @@ class RenderedScenes(DepthDataset):
             0 to ``generator.farthest``.
 
     Raises:
-        ValueError: an argument is out of its range.
         RuntimeError: a render process failed.
     """
 

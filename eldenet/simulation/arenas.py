@@ -148,9 +148,8 @@ def draw_obstacles(draw: Draw, count: int, walls: Walls = OPEN) -> tuple[Obstacl
         limit = SIDE / 2 - 0.5
         for _ in range(100):
             x, y = round(draw.uniform(-limit, limit), 4), round(draw.uniform(-limit, limit), 4)
-            if all(math.hypot(x - o.x, y - o.y) > reach + o.radius for o in obstacles) and walls.leave_room(
-                x, y, reach
-            ):
+            apart = all(math.hypot(x - o.x, y - o.y) > reach + o.radius for o in obstacles)
+            if apart and walls.leave_room(x, y, reach):
                 obstacles.append(Obstacle(kind, x, y, round(yaw, 4), half, round(height, 4)))
                 break
         else:

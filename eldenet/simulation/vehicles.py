@@ -102,13 +102,8 @@ def cyclist(d: Draw, p: Paint, m: Materials, b: Body, length: float, width: floa
         for start, end in pairwise(rim):
             b.limb(start, end, tire, p.rubber)
     pedals, saddle, head = (0.0, -0.05, 0.3), (0.0, -0.22, 0.88), (0.0, hubs[1][1] - 0.22, 0.92)
-    for start, end in (
-        (hubs[0], pedals),
-        (hubs[0], saddle),
-        (pedals, saddle),
-        (pedals, head),
-        (saddle, head),
-    ):
+    tubes = ((hubs[0], pedals), (hubs[0], saddle), (pedals, saddle), (pedals, head), (saddle, head))
+    for start, end in tubes:
         b.limb(start, end, 0.02, paint)
     b.limb(head, hubs[1], 0.02, paint)
     grip = width / 2 - 0.05

@@ -19,12 +19,8 @@ def add_fittings(d: Draw, m: Materials, room: Room, walls: Sequence[Wall]) -> li
         room.suns += [sun for wall in walls for sun in _suns(d, m, wall)][:2]
     sx, sy, h = room.size
     body = Body()
-    for add, probability in (
-        (_fan, 0.18 if h > 2.35 else 0.0),
-        (_beams, 0.12),
-        (_pipes, 0.12),
-        (_track, 0.1),
-    ):
+    chances = ((_fan, 0.18 if h > 2.35 else 0.0), (_beams, 0.12), (_pipes, 0.12), (_track, 0.1))
+    for add, probability in chances:
         if d.chance(probability):
             add(d, m, body, (sx, sy, h))
     for wall in walls:
@@ -78,11 +74,8 @@ def _pipes(d: Draw, m: Materials, b: Body, size: tuple[float, float, float]) -> 
     """Pipes or ducts below the ceiling, one of them down a wall."""
     sx, sy, h = size
     for _ in range(d.integer(1, 3)):
-        y, z, radius = (
-            d.uniform(-0.45, 0.45) * sy,
-            h - d.uniform(0.12, 0.35),
-            d.pick((0.02, 0.03, 0.06, 0.12)),
-        )
+        y, z = d.uniform(-0.45, 0.45) * sy, h - d.uniform(0.12, 0.35)
+        radius = d.pick((0.02, 0.03, 0.06, 0.12))
         b.limb((-sx / 2, y, z), (sx / 2, y, z), radius, d.pick((m.metal, m.white, m.dark)))
     b.limb((sx / 2 - 0.06, -sy / 2 + 0.08, 0), (sx / 2 - 0.06, -sy / 2 + 0.08, h), 0.025, m.white)
 

@@ -125,20 +125,14 @@ def choose_pose(room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: b
     geoms_wanted = draw.integer(3, 14)  # in view: few frames show a bare wall
 
     def candidate() -> tuple[float, Pose] | None:
-        z = (
-            draw.uniform(0.25, 1.0)
-            if draw.chance(0.1 if by_hand else 0.3)
-            else draw.uniform(1.2, min(1.8, h - 0.2))
-        )
+        on_robot = draw.chance(0.1 if by_hand else 0.3)
+        z = draw.uniform(0.25, 1.0) if on_robot else draw.uniform(1.2, min(1.8, h - 0.2))
         x, y = draw.uniform(-0.5, 0.5) * (sx - 0.5), draw.uniform(-0.5, 0.5) * (sy - 0.5)
         yaw = draw.uniform(-np.pi, np.pi)
         if draw.chance(0.65):  # look across the room rather than at the nearest wall
             yaw = float(np.arctan2(-y, -x)) + draw.uniform(-0.7, 0.7)
-        pitch = (
-            draw.uniform(*((-0.62, 0.0) if by_hand else (-0.55, 0.04)))
-            if z > 1.1
-            else draw.uniform(-0.15, 0.25)
-        )
+        high = (-0.62, 0.0) if by_hand else (-0.55, 0.04)
+        pitch = draw.uniform(*(high if z > 1.1 else (-0.15, 0.25)))
         roll = draw.uniform(-0.06, 0.06) if draw.chance(0.95 if by_hand else 0.7) else draw.uniform(-0.2, 0.2)
         if any(
             x0 - 0.2 < x < x1 + 0.2 and y0 - 0.2 < y < y1 + 0.2 and z < top + 0.2
