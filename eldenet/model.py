@@ -51,9 +51,10 @@ class EncoderDecoder(Configurable, nn.Module):
         """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``."""
         raw = self.decoder(self.backbone(image))
         rows, cols = (-(-side // self.decoder.stride) for side in image.shape[-2:])
-        # decoders do not know the image size: a map finer than the finest feature may exceed an odd one; an
-        # export at any size drops this comparison, so `within_image` crops too
-        return raw if raw.shape[-2:] == (rows, cols) else raw[..., :rows, :cols]
+        # decoders do not know the image size: a map finer than the finest feature may exceed an odd one. The
+        # shapes alone would not do: an export at any size keeps the branch that its example takes
+        finer = self.decoder.stride < min(info.stride for info in self.backbone.feature_info)
+        return raw[..., :rows, :cols] if finer or raw.shape[-2:] != (rows, cols) else raw
 
 
 class DepthNet(Configurable, nn.Module):

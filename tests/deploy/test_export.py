@@ -211,6 +211,17 @@ def test_pictures_are_spread_evenly(photos: Path) -> None:
     np.testing.assert_array_equal(last, cv2.imread(str(photos / "5.jpg"))[..., ::-1])
 
 
+@pytest.mark.parametrize("name", ["fastdepth", "mobilenet_v1_upconv"])
+def test_a_file_of_any_size_crops_what_a_decoder_makes_beyond_an_odd_image(tmp_path: Path, name: str) -> None:
+    from eldenet.deploy.onnx_export import write_onnx
+
+    network = eldenet.load(name)
+    path = write_onnx(network, tmp_path / "any.onnx", (64, 96), any_size=True)
+    file, image = runtimes.load(path, "onnxruntime", threads=1), torch.rand(1, 3, 49, 67)
+    with torch.inference_mode():
+        np.testing.assert_allclose(file(image.numpy()), network(image).numpy(), rtol=1e-3)
+
+
 @pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
 def test_a_file_of_any_size_predicts_what_torch_predicts(
     model_folder: Path, photos: Path, tmp_path: Path, runtime: str
