@@ -96,6 +96,8 @@ class ScaledHead(Head):
 
     Args:
         scale: [m] per unit of the raw map; 0.01 for centimeters.
+        min_depth: [m].
+        max_depth: [m].
     """
 
     lengths = ("scale", "min_depth", "max_depth")

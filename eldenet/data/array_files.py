@@ -1,8 +1,4 @@
-"""Read bytes and arrays (``.npy``, PFM, OpenEXR).
-
-As everywhere in ``data``, a missing file is a ``FileNotFoundError``, and one that is damaged, hostile or of
-another kind a ``ValueError``; both name it and say what to do.
-"""
+"""Read bytes and arrays (``.npy``, PFM, OpenEXR); a damaged file is an error that names it."""
 
 import io
 import math
@@ -58,7 +54,12 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_array(path: Path) -> np.ndarray:
-    """Read a plain ``.npy`` file."""
+    """Read a plain ``.npy`` file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is truncated or damaged, or holds Python objects.
+    """
     content = read_bytes(path)
     if content.startswith(b"PK"):
         raise ValueError(f"{path} is an .npz archive, not an .npy file: store its array with numpy.save")
@@ -76,6 +77,10 @@ def read_pfm(path: Path) -> np.ndarray:
 
     Convention: rows are stored from the bottom up; the sign of the third line is the byte order, and its size
     is ignored, as in Middlebury's and MiDaS's readers.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is truncated or not a PFM.
     """
     content = read_bytes(path)
     header = re.match(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+]?[\d.]+(?:[eE][-+]?\d+)?)[ \t\r]*\n", content)
@@ -95,6 +100,11 @@ def read_exr(path: Path) -> np.ndarray:
     """Read the one channel of an OpenEXR file, or any of several equal ones (gray), ``(H, W)``.
 
     OpenCV's wheels do not include OpenEXR, so this needs the package of that name.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ImportError: OpenEXR is not installed (OpenCV's wheels do not include it).
+        ValueError: the file is truncated or damaged, or its channels differ.
     """
     read_bytes(path)
     require("reading .exr files", "OpenEXR")

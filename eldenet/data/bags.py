@@ -67,7 +67,11 @@ class Bag:
 
     @property
     def intrinsics(self) -> list[float]:
-        """fx, fy, cx, cy of the pictures of :meth:`frames` [px]."""
+        """fx, fy, cx, cy of the pictures of :meth:`frames` [px].
+
+        Raises:
+            ValueError: it does not know them.
+        """
         if self._lens is None:
             raise ValueError(
                 f"{self.path} needs a CameraInfo of a calibrated camera beside {self._pictures}, and has "
@@ -118,7 +122,11 @@ class Bag:
                 yield seconds(message.header.stamp) or nanoseconds * 1e-9, message
 
     def frames(self) -> Iterator[tuple[np.ndarray, float]]:
-        """Yield the pictures ``(H, W, 3)`` uint8 RGB with their times [s], in the order of time."""
+        """Yield the pictures ``(H, W, 3)`` uint8 RGB with their times [s], in the order of time.
+
+        Raises:
+            ValueError: a picture cannot be read.
+        """
         latest = -np.inf
         for time, message in self._messages(self._pictures):
             if time > latest:
@@ -171,7 +179,11 @@ class Bag:
         return matrix
 
     def write_odometry(self, topic: str | None, path: Path) -> Path:
-        """Write the poses of the robot's base as rows ``seconds,x,y,heading``; None: of the only odometry."""
+        """Write the poses of the robot's base as rows ``seconds,x,y,heading``; None: of the only odometry.
+
+        Raises:
+            ValueError: there is no such topic, or there are several.
+        """
         topic = self._chosen("odometry", self._topics(ODOMETRY), topic, "poses")
         poses = {time: read_pose(message) for time, message in self._messages(topic)}
         write_rows(path, ("seconds", "x", "y", "heading"), [(time, *poses[time]) for time in sorted(poses)])

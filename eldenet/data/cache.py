@@ -29,7 +29,11 @@ _LOG = logging.getLogger("eldenet")
 
 
 def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
-    """Open the cache of a data set whose ``cache`` is "disk"; None if the folder cannot be written."""
+    """Open the cache of a data set whose ``cache`` is "disk"; None if the folder cannot be written.
+
+    Raises:
+        ValueError: the cache cannot notice changes of this data set.
+    """
     slot = _slot_bytes(dataset)
     size = len(dataset) * slot
     identity = _identity(dataset)

@@ -67,6 +67,10 @@ def read_camera(path: Path) -> Camera:
 
     Numbers are a matrix (3 x 3, 4 x 4, separated by spaces or commas), ``fx fy cx cy``, or ARKitScenes's
     ``width height fx fy cx cy``.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is damaged, or holds no camera.
     """
     text = read_text(path, "give a file with the camera's intrinsics")
     ending = path.suffix.lower()
@@ -145,7 +149,11 @@ def _pose(record: Mapping[str, Any], source: object) -> np.ndarray | None:
 
 
 def given_camera(intrinsics: Any) -> Camera:
-    """Return the camera that a setting states: ``[fx, fy, cx, cy]``, ``(3, 3)``, or a table with the size."""
+    """Return the camera that a setting states: ``[fx, fy, cx, cy]``, ``(3, 3)``, or a table with the size.
+
+    Raises:
+        ValueError: it states none.
+    """
     if isinstance(intrinsics, Mapping):
         return camera_of(intrinsics, f"intrinsics={dict(intrinsics)}")
     return Camera(intrinsic_matrix(intrinsics))

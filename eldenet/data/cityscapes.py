@@ -59,6 +59,10 @@ class Cityscapes(FileDataset):
         val_cities: cities of the official training part that are for validation.
         labels: also read ``gtFine``'s 19 classes, for errors by class: True, False, or "auto" if they exist.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: files are missing.
+        ValueError: the split or a city is unknown.
     """
 
     depth_range = STREET_RANGE
@@ -124,7 +128,12 @@ class Cityscapes(FileDataset):
 
 
 def read_camera(path: Path) -> tuple[np.ndarray, float]:
-    """Return intrinsics ``(3, 3)`` [px at 2048 x 1024] and baseline [m] of a ``*_camera.json``."""
+    """Return intrinsics ``(3, 3)`` [px at 2048 x 1024] and baseline [m] of a ``*_camera.json``.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is truncated, or a number is missing or impossible.
+    """
     text = read_text(path, "fetch camera_trainvaltest.zip")
     with reading(path, "Cityscapes camera"):
         content = parse_json(text, path)
@@ -178,6 +187,10 @@ class CityscapesMTAN(FileDataset):
         labels: also read ``label`` (or ``label_19``, ``label_7``), for errors by class: True, False, or
             "auto" if they exist. The set does not name its classes.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: files are missing.
+        ValueError: the split is unknown, or ``val_frames`` leaves no training frame.
     """
 
     depth_range = STREET_RANGE

@@ -20,7 +20,12 @@ _CLASS_OF_ID[list(CLASS_IDS.values())] = np.arange(len(CLASS_IDS))
 
 
 def read_label_ids(path: Path) -> np.ndarray:
-    """Read a ``*_gtFine_labelIds.png`` as classes ``(H, W)`` uint8, 0 to 18, 255 = none."""
+    """Read a ``*_gtFine_labelIds.png`` as classes ``(H, W)`` uint8, 0 to 18, 255 = none.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is damaged, or holds no label ids.
+    """
     ids = read_raw_depth(path)
     if ids.dtype != np.uint8 or (ids[ids != NO_CLASS] > _LARGEST_ID).any():
         raise ValueError(
@@ -31,7 +36,12 @@ def read_label_ids(path: Path) -> np.ndarray:
 
 
 def read_label_array(path: Path, classes: int) -> np.ndarray:
-    """Read an ``.npy`` of whole numbers as classes ``(H, W)`` uint8; below 0 and 255 become 255 = none."""
+    """Read an ``.npy`` of whole numbers as classes ``(H, W)`` uint8; below 0 and 255 become 255 = none.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is damaged, or holds numbers that are not classes.
+    """
     values = read_array(path)
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]

@@ -58,7 +58,11 @@ def raw_sample(
 
 
 def color_stages(draws: Sequence[tuple[Any, Mapping[str, Any]]]) -> np.ndarray:
-    """Return the ``(6, 7)`` color changes that were drawn from albumentations' transforms, in their order."""
+    """Return the ``(6, 7)`` color changes that were drawn from albumentations' transforms, in their order.
+
+    Raises:
+        ValueError: another transform was drawn.
+    """
     stages: list[tuple[float, ...]] = []
     for transform, drawn in draws:
         name = type(transform).__name__

@@ -64,6 +64,10 @@ class FolderDataset(FileDataset):
         val_names: validation frames, instead of blocks: a list of names, or a text file with one per line.
         ground_truth: "raw", "inpainted" or "sparse": what the depth is, for reports.
         **options: see :class:`~eldenet.data.base.DepthDataset`; ``max_depth`` has no default here.
+
+    Raises:
+        FileNotFoundError: a picture has no depth, depth has no picture, or files are missing.
+        ValueError: settings are out of range or do not fit together.
     """
 
     depth_range = (1e-3, None)

@@ -34,6 +34,10 @@ def read_frame_list(path: Path, *, allow_outside: bool, tolerance: float) -> lis
 
     ``allow_outside`` lets files lie outside the data set's folder; ``tolerance`` is the largest difference
     of the two times in TUM's ``associations.txt`` [s].
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: a line is wrong or leaves the folder, or the list is empty.
     """
     if path.suffix.lower() == ".json":
         frames = _transforms(path)

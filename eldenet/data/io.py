@@ -156,12 +156,21 @@ def read_depth(path: str | Path, encoding: Encoding) -> np.ndarray:
     """Read a depth map in an encoding as float32 [m], ``(H, W)``, 0 where unknown.
 
     The file is a ``.npy``, ``.pfm`` or ``.exr``, or a picture with one channel.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is truncated, damaged or not in this encoding.
     """
     return decode_depth(read_raw_depth(path), encoding, path)
 
 
 def read_raw_depth(path: str | Path) -> np.ndarray:
-    """Return the raw numbers of a depth file, ``(H, W)``."""
+    """Return the raw numbers of a depth file, ``(H, W)``.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is truncated or damaged, or has several channels.
+    """
     path = Path(path)
     reader = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}.get(path.suffix.lower())
     raw = _decode(path, -1) if reader is None else reader(path)  # -1 is cv2.IMREAD_UNCHANGED

@@ -58,6 +58,10 @@ class KITTIDepth(KITTIFrames):
         frames: how many frames there must be, such as Eigen's 652; None for any number.
         calibration: "required", or "optional" to give frames no intrinsics if the files are missing.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: files are missing.
+        ValueError: a setting is unknown, a line of a list is wrong, or the number of frames is another.
     """
 
     where_files_are = " (data.raw_root is the folder of the pictures)"
@@ -108,11 +112,15 @@ class KITTIRaw(KITTIFrames):
         projection: "camera" or "eigen", see :func:`~eldenet.data.kitti_calibration.project_scan`.
         split: "train" and "val" share no drive (:func:`~eldenet.data.splits.hold_out`); "trainval", "test"
             and "all" take every frame.
-        cameras: as :class:`KITTIDepth`.
-        list_file: the same; None takes every scan.
-        exclude_list: the same.
-        frames: the same.
+        cameras: 2 (left), 3 (right) or both.
+        list_file: list of frames (:func:`~eldenet.data.kitti_files.frame_list`); None takes every scan.
+        exclude_list: list whose drives are left out, such as the list of the test frames.
+        frames: how many frames there must be, such as Eigen's 697; None for any number.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: files are missing.
+        ValueError: a setting is unknown, a line of a list is wrong, or the number of frames is another.
     """
 
     ground_truth = "sparse"
@@ -165,6 +173,10 @@ class KITTISelection(KITTIFrames):
         frames: how many frames there must be, 1000 in the official set; None for any number.
         calibration: "required", or "optional" to give frames no intrinsics if ``intrinsics/`` is missing.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 80 m unless given.
+
+    Raises:
+        FileNotFoundError: files are missing.
+        ValueError: a setting or a file name is wrong, or the number of frames is another.
     """
 
     where_files_are = " (data.calibration=optional does without intrinsics/)"

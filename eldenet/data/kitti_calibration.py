@@ -19,7 +19,12 @@ PROJECTIONS = ("camera", "eigen")
 
 
 def read_calibration(path: Path) -> dict[str, np.ndarray]:
-    """Return the lines ``key: numbers`` of a calibration file; the date, which is none, is skipped."""
+    """Return the lines ``key: numbers`` of a calibration file; the date, which is none, is skipped.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is not text or has no such line.
+    """
     entries = {}
     text = read_text(path, "fetch it again, from KITTI's calibration zip of that date")
     for line in text.splitlines():
@@ -34,7 +39,11 @@ def read_calibration(path: Path) -> dict[str, np.ndarray]:
 
 
 def entry(path: Path, key: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return one entry of a calibration file as a matrix of ``shape``."""
+    """Return one entry of a calibration file as a matrix of ``shape``.
+
+    Raises:
+        ValueError: the key is missing, or has too few, too many or infinite numbers.
+    """
     entries = read_calibration(path)
     if key not in entries:
         raise ValueError(f"{path} has no {key!r}, only {', '.join(sorted(entries))}: fetch it again")
@@ -51,6 +60,9 @@ def object_camera(picture: Path) -> PinholeCamera | None:
     """Return the camera of a picture of the object benchmark, in the frame of rectified camera 0.
 
     ``image_2/000001.png`` has its own ``calib/000001.txt``, whose P2 is the camera. None: no such file.
+
+    Raises:
+        ValueError: the calibration is not complete.
     """
     folder, _, number = picture.parent.name.partition("_")
     calibration = picture.parent.parent / "calib" / f"{picture.stem}.txt"
@@ -60,7 +72,11 @@ def object_camera(picture: Path) -> PinholeCamera | None:
 
 
 def projection_camera(path: Path, key: str) -> PinholeCamera:
-    """Return the camera of a projection ``(3, 4)`` in a calibration file."""
+    """Return the camera of a projection ``(3, 4)`` in a calibration file.
+
+    Raises:
+        ValueError: the projection is missing, or that of no camera.
+    """
     matrix = entry(path, key, (3, 4))
     try:
         return PinholeCamera.from_projection(matrix)
@@ -89,7 +105,12 @@ def velodyne_to_image(folder: Path, camera: int) -> np.ndarray:
 
 
 def read_scan(path: Path) -> np.ndarray:
-    """Return the points ``(N, 4)`` float32 of a scan: x forward, y left, z up [m], reflectance."""
+    """Return the points ``(N, 4)`` float32 of a scan: x forward, y left, z up [m], reflectance.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is empty or truncated, its numbers cannot be points, or are not four per point.
+    """
     content = read_bytes(path)
     if not content or len(content) % 16:
         raise ValueError(

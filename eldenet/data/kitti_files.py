@@ -151,6 +151,10 @@ def frame_list(file: str | Path) -> dict[Place, bool]:
     BTS: ``<date>/<drive>/image_02/data/0000000069.png <depth or None> [focal]``, with or without ``/`` in
     front. Its focal length is not used: the calibration is more exact. monodepth2: ``<date>/<drive> 69 l``
     (or ``r``).
+
+    Raises:
+        FileNotFoundError: there is no such list.
+        ValueError: a line is in neither format, or a frame is listed twice.
     """
     path = LISTS.get(str(file)) or Path(file).expanduser()
     places: dict[Place, bool] = {}

@@ -43,10 +43,8 @@ class EpochSampler(Sampler[list[SampleKey]]):
         self.length, self.batch_size, self.seed = length, batch_size, seed
         self.aspect_ratios = aspect_ratios
         self.rank, self.processes = rank, processes
-        self.epoch, self.start = (
-            0,
-            0,
-        )  # of the next pass; first batch, where a resumed one continues
+        self.epoch = 0  # of the next pass
+        self.start = 0  # first batch, where a resumed one continues
         # drop a smaller last batch, whose step would be noisier, unless an epoch has few batches
         together = batch_size * processes
         whole, rest = divmod(length, together)
@@ -102,7 +100,11 @@ class Loader(DataLoader):
     """A loader that says what to do when one of its workers was killed."""
 
     def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
-        """Yield batches."""
+        """Yield batches.
+
+        Raises:
+            ChildProcessError: a worker was killed.
+        """
         try:
             yield from super().__iter__()
         except RuntimeError as error:

@@ -36,6 +36,9 @@ class Mix(DepthDataset):
             source of weight 0 is left out.
         frames: draws of an epoch.
         **options: for every source; its own settings come first.
+
+    Raises:
+        ValueError: no source has a weight, or a weight is out of range.
     """
 
     def __init__(
@@ -77,7 +80,11 @@ class Mix(DepthDataset):
         return sample
 
     def draw_subset(self, places: int | Sequence[int], seed: int) -> None:
-        """Raise ValueError: an epoch draws from whole sources."""
+        """Raise ValueError: an epoch draws from whole sources.
+
+        Raises:
+            ValueError: always; says what to set instead.
+        """
         raise ValueError(
             f"subset={places}: a mix has no subset, because it draws from whole sources: set data.frames for "
             "fewer draws per epoch, or data.sources.<name>.weight for a source's share"

@@ -83,6 +83,10 @@ class NYUDenseDepth(_NYUPairs):
             (:func:`~eldenet.data.splits.hold_out`), "trainval" for both, or "test" for the 654.
         encoding: of the depth files; None for DenseDepth's.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: files are missing.
+        ValueError: the split is unknown, or a line of the CSV is not a pair.
     """
 
     ground_truth = "inpainted"
@@ -113,6 +117,10 @@ class NYULabelled(_NYUPairs):
             "dev", parts of "train" that share no scene either, for choosing a recipe before "val" scores it.
         encoding: of the depth files.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: files are missing.
+        ValueError: the split is unknown, or a file name is not a frame number.
     """
 
     ground_truth = "inpainted"
@@ -152,6 +160,10 @@ class NYUSync(_NYUPairs):
             BTS's do; None takes every pair below ``root``.
         encoding: of the depth files.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: files are missing, or a picture has no depth.
+        ValueError: a line of the list is not a pair.
     """
 
     ground_truth = "raw"

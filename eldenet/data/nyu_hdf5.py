@@ -45,6 +45,10 @@ class NYUHDF5(FileDataset):
         split: "train" and "val", parts of ``train`` that share no scene
             (:func:`~eldenet.data.splits.hold_out`), "trainval" for both, or "test" for ``val/official``.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        ValueError: the split is unknown; on reading: a file is truncated, or a key is missing.
     """
 
     ground_truth = "inpainted"
@@ -88,6 +92,10 @@ class NYUMat(DepthDataset):
         ground_truth: "inpainted" for ``depths``, "raw" for ``rawDepths`` with its holes.
         file: name of the .mat.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError: the split or ground truth is unknown, or the .mat lacks it or has too few frames.
     """
 
     depth_range = NYU_RANGE
@@ -144,7 +152,13 @@ def _frame(image: np.ndarray, depth: np.ndarray, source: object, name: str) -> F
 
 
 def open_hdf5(path: Path) -> Any:
-    """Open an HDF5 file."""
+    """Open an HDF5 file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ImportError: h5py is not installed.
+        ValueError: the file is truncated or not an HDF5 file.
+    """
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist: check root, or fetch the file again")
     require("reading NYU's HDF5 files", "h5py")

@@ -142,7 +142,11 @@ def missing_files(root: Path, files: Sequence[str]) -> list[str]:
 
 
 def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
-    """Raise FileNotFoundError unless every file, relative to ``root``, exists; ``advice``: where to look."""
+    """Raise FileNotFoundError unless every file, relative to ``root``, exists; ``advice``: where to look.
+
+    Raises:
+        FileNotFoundError: naming the first ten missing files and how many there are.
+    """
     missing = [str(root / file) for file in missing_files(root, files)]
     if missing:
         raise FileNotFoundError(
@@ -152,7 +156,11 @@ def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
 
 
 def check_inside(pairs: Sequence[tuple[str, str]], source: Path, advice: str) -> None:
-    """Raise ValueError for a list of files that leaves the data set's folder (``../``, or absolute)."""
+    """Raise ValueError for a list of files that leaves the data set's folder (``../``, or absolute).
+
+    Raises:
+        ValueError: naming the first such file; ``advice`` says what to do.
+    """
     for file in (file for pair in pairs for file in pair):
         if os.path.isabs(file) or os.path.normpath(file).split(os.sep)[0] == os.pardir:
             raise ValueError(f"{source}: {file[:200]!r} is outside the data set's folder: {advice}")
@@ -162,6 +170,10 @@ def csv_pairs(table: Path, *, allow_outside: bool | None = None) -> list[tuple[s
     """Read lines ``image,depth`` of a CSV without a header; empty lines are skipped.
 
     ``allow_outside``: whether files may lie outside the data set's folder; None: no, and no setting says it.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: a line is not a pair or leaves the folder, or the file is empty or not text.
     """
     pairs = []
     text = read_text(table, "fetch or write the list of frames again")

@@ -29,6 +29,10 @@ def nyu_labelled(source: str, output: str = "nyu_labelled") -> None:
 
     Training: ``data/nyu2_train/labeled_out/NNNN.jpg`` and 8-bit in-painted depth (``nyu8_labelled``). Test:
     ``data/nyu2_test/NNNN_colors.png`` and 16-bit in-painted depth [mm]. NNNN is a frame's number in the .mat.
+
+    Raises:
+        FileNotFoundError: one of the two files is missing.
+        ValueError: a file is damaged, or another one.
     """
     mat, folder = Path(source), Path(output)
     for file in (mat, mat.with_name("splits.mat")):

@@ -65,7 +65,11 @@ class _Series(NamedTuple):
 
 
 def recognize(folder: Path) -> list[Recognized]:
-    """Return what a folder may be; nothing if it is unknown."""
+    """Return what a folder may be; nothing if it is unknown.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+    """
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is not a folder: give the folder of your recordings")
     beside = sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != ".")

@@ -70,7 +70,11 @@ def evenly_spaced(count: int, wanted: int | None) -> list[int]:
 
 
 def split_settings(data: Mapping[str, Any], split: str) -> Mapping[str, Any]:
-    """Return the settings of one part of a data set, with its class as ``_target_``."""
+    """Return the settings of one part of a data set, with its class as ``_target_``.
+
+    Raises:
+        ValueError: the data set has no such part.
+    """
     settings = data.get(split)
     if not isinstance(settings, Mapping):
         raise ValueError(f"data={data['name']} has no split '{split}': choose train, val or test")
@@ -83,7 +87,11 @@ def split_settings(data: Mapping[str, Any], split: str) -> Mapping[str, Any]:
 
 
 def subset_of(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return how many frames of each split are used; a split without an entry uses all."""
+    """Return how many frames of each split are used; a split without an entry uses all.
+
+    Raises:
+        ValueError: ``data.subset`` is no table.
+    """
     subset = data.get("subset") or {}
     if not isinstance(subset, Mapping):
         raise ValueError(f"data.subset={subset}: give it per split, data.subset.train={subset}")

@@ -54,6 +54,10 @@ class TeacherLabels(FileDataset):
             length in its input sees every picture as its own camera's, so its meters are right for this
             focal length. None: unknown.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.001 to 65 m unless given.
+
+    Raises:
+        FileNotFoundError: the folder does not exist.
+        ValueError: it has no pictures, or the teacher no ``input_size``.
     """
 
     ground_truth = "raw"
@@ -176,7 +180,11 @@ def _stamp(picture: Path) -> str:
 
 
 def find_pictures(folder: Path) -> list[str]:
-    """Return the pictures in ``folder`` and below, relative to it; hidden files and folders do not count."""
+    """Return the pictures in ``folder`` and below, relative to it; hidden files and folders do not count.
+
+    Raises:
+        ValueError: there are none.
+    """
     files = sorted(path.relative_to(folder).as_posix() for path in visible_files(folder, IMAGE_ENDINGS))
     if not files:
         raise ValueError(

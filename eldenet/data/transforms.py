@@ -132,7 +132,11 @@ class Augmentation:
             self.color.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
 
     def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
-        """Augment one frame; see :class:`Augmentation`."""
+        """Augment one frame; see :class:`Augmentation`.
+
+        Raises:
+            ValueError: image and depth differ in size.
+        """
         change = self.draw(frame, generator)
         image, depth, _, name, labels = frame
         for transform, drawn in change.geometry:
@@ -149,7 +153,11 @@ class Augmentation:
         return Frame(image, depth, change.intrinsics, name, labels)
 
     def draw(self, frame: Frame, generator: np.random.Generator) -> Change:
-        """Draw what happens to a frame."""
+        """Draw what happens to a frame.
+
+        Raises:
+            ValueError: image and depth differ in size.
+        """
         check_same_size(frame)
         # a shared state, as Compose.set_random_seed would seed all transforms alike, so that one draw
         # would decide on flip, affine and color alike

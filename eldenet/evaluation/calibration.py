@@ -30,6 +30,9 @@ def fit_temperature(
         dataset: built for evaluation; scenes of neither training nor test.
         protocol: which pixels count.
         batch_size: images at a time.
+
+    Raises:
+        ValueError: the network predicts no sigma.
     """
     head = model.head
     assert isinstance(head, UncertainHead), NO_SIGMA

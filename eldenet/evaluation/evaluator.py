@@ -107,6 +107,9 @@ def evaluate_batches(
     """Score as :func:`evaluate`, with an :func:`~eldenet.data.loaders.evaluation_loader` for several passes.
 
     Of several ``processes``, each has a loader of its share of the frames; all get the whole result.
+
+    Raises:
+        ValueError: as :func:`evaluate`.
     """
     from eldenet.evaluation.metrics import DepthMetrics  # torchmetrics takes seconds to load
     from eldenet.evaluation.uncertainty_metrics import UncertaintyMeter

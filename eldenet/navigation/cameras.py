@@ -66,6 +66,8 @@ class Camera(SimulatedSensor):
             is near.
         artifacts: of a depth camera, on the renderer's own depth (no predictor); None: that depth is exact.
 
+    ``drift`` and ``latency`` are those of :class:`~eldenet.navigation.sensors.SimulatedSensor`.
+
     Attributes:
         sources: name -> name and file of each network, for ``run.json``.
 

@@ -36,6 +36,8 @@ class NoisyRanges(SimulatedSensor):
             above; "packaged": those of the packaged network ``eldenet_arenas``.
         share: of the episodes with errors; the others have true ranges, so that a driver learns from both.
 
+    ``drift`` and ``latency`` are those of :class:`~eldenet.navigation.sensors.SimulatedSensor`.
+
     Raises:
         ValueError: an argument is out of range.
     """

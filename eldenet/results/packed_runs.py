@@ -21,7 +21,11 @@ MOST = 1_000_000_000  # bytes of all runs
 
 
 def read_records(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the records of a ``.jsonl.gz`` file by their names; none without the file."""
+    """Return the records of a ``.jsonl.gz`` file by their names; none without the file.
+
+    Raises:
+        ValueError: it is damaged.
+    """
     return dict(_records(path, file_state(path))) if path.is_file() else {}
 
 

@@ -76,6 +76,9 @@ def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[
 
     ``draw_seeds`` draws the runs of each row as well, independently, so that the interval includes the chance
     in a training; it takes several runs of both.
+
+    Raises:
+        ValueError: the two rows scored different images.
     """
     if ours.images != theirs.images:
         raise ValueError(f"{ours.source} and {theirs.source} scored different images and can't be paired")

@@ -25,7 +25,11 @@ _PACKAGES += ["hydra-core", "accelerate", "torchmetrics", "mujoco"]
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read the ``run.json`` of any command."""
+    """Read the ``run.json`` of any command.
+
+    Raises:
+        ValueError: it is not a JSON object, or holds NaN or endless nesting.
+    """
     content = read_json(path)
     if not isinstance(content, dict):
         raise ValueError(f"{path} is not a JSON object: it was not written by eldenet")
@@ -33,7 +37,12 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def read_run(path: str | Path) -> dict[str, Any]:
-    """Read a ``run.json`` (or the one in a run folder)."""
+    """Read a ``run.json`` (or the one in a run folder).
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it is not JSON, or has no metrics.
+    """
     path = Path(path)
     path = path / RUN_FILE if path.is_dir() else path
     if not path.is_file():

@@ -39,6 +39,9 @@ def arena_mjcf(
         visual: add materials, a ceiling and the hall for :mod:`eldenet.simulation.arena_view`.
         size: of the robot's footprint and track, relative to :data:`~eldenet.simulation.robot.ROBOT`.
         friction: between wheels and floor.
+
+    Raises:
+        ValueError: unknown robot.
     """
     one_of("robot", robot, ROBOTS)
     materials = None

@@ -121,6 +121,9 @@ def render_arena(
 
     Density, light and number of pedestrians vary by arena; pose, time and camera settings by frame. Half of
     the poses are close to something, as a robot's are among obstacles. ``detail`` is :class:`ArenaView`'s.
+
+    Raises:
+        ValueError: unknown split or index out of range.
     """
     photos = arena_photos(split, index, size, views, detail)
     lens = robot_intrinsics(size)

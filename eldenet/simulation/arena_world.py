@@ -29,6 +29,9 @@ class ArenaWorld:
             (about 4 us each); "wheels" drives two torque-limited wheels over the floor in steps of 5 ms.
         size: of the robot's footprint, relative to :data:`~eldenet.simulation.robot.ROBOT`.
         friction: between wheels and floor.
+
+    Raises:
+        ValueError: unknown physics.
     """
 
     def __init__(

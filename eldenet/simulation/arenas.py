@@ -94,6 +94,9 @@ def generate_arena(
         kind: "open"; "rooms": nine rooms with doors 1.1 to 1.5 m wide; "traps": a U-shaped wall opens toward
             the start and hides the goal; "office": rooms along corridors 1.15 to 1.4 m wide; "maze": 7 x 7
             cells of that width; "corridor": one that winds. The last two have no obstacles.
+
+    Raises:
+        ValueError: an argument is out of its range.
     """
     one_of("split", split, SPLITS)
     one_of("arena.kind", kind, KINDS)

@@ -43,7 +43,12 @@ class BarnWorld(NamedTuple):
 
 
 def read_barn(path: str | Path) -> list[BarnWorld]:
-    """Return the worlds of a file, in order."""
+    """Return the worlds of a file, in order.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is not such a file.
+    """
     with reading(path, ".npz file of BARN's worlds", "give barn_worlds.npz"):
         with np.load(path, allow_pickle=False) as file:
             centers, radius, starts, cells, path_starts = (file[name] for name in _ARRAYS)

@@ -100,7 +100,12 @@ class Latencies:
 
     @classmethod
     def read(cls, study: Study) -> "Latencies | None":
-        """Read the file that ``sweep.yaml`` names; None: it names none."""
+        """Read the file that ``sweep.yaml`` names; None: it names none.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is empty, or was measured on different machines or runtimes.
+        """
         if study.latency is None:
             return None
         path = study.folder / study.latency
@@ -124,7 +129,11 @@ class Latencies:
         return cls(lines)
 
     def check(self, row: StudyRow, run: Mapping[str, Any]) -> None:
-        """Raise ValueError for a latency of another network than a row's run has, or at another input."""
+        """Raise ValueError for a latency of another network than a row's run has, or at another input.
+
+        Raises:
+            ValueError: names what differs.
+        """
         line = self.lines.get(row.name)
         if line is None:
             return

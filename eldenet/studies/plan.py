@@ -83,7 +83,11 @@ class Study:
         return _name(self.folder)
 
     def chosen(self, names: Sequence[str] | str | None) -> list[StudyRow]:
-        """The rows of these names in the plan's order; None: all."""
+        """The rows of these names in the plan's order; None: all.
+
+        Raises:
+            ValueError: there is no such row.
+        """
         wanted = [names] if isinstance(names, str) else names
         known = [row.name for row in self.rows]
         unknown = [name for name in wanted or () if name not in known]

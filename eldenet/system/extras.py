@@ -37,6 +37,9 @@ def require(purpose: str, *packages: str) -> None:
     """Raise ImportError, with the command that installs them, if ``packages`` are missing.
 
     ``purpose`` is what needs them.
+
+    Raises:
+        ImportError: with the command that installs the packages.
     """
     missing = [package for package in packages if not installed(package)]
     if missing:
@@ -50,7 +53,11 @@ def installed(package: str) -> bool:
 
 
 def require_for_parts(config: Any) -> None:
-    """Require the packages of all parts that composed settings name as ``_target_``; nothing is imported."""
+    """Require the packages of all parts that composed settings name as ``_target_``; nothing is imported.
+
+    Raises:
+        ImportError: one is missing.
+    """
     for name, module in _parts(config, ""):
         if module in _OF_PARTS:
             require(name, _OF_PARTS[module])

@@ -144,7 +144,11 @@ def _without_nan(value: Any) -> Any:
 
 
 def shipped_folder(name: str, file: str) -> Path:
-    """Return a folder that comes with eldenet: beside the package in a checkout, inside it in a wheel."""
+    """Return a folder that comes with eldenet: beside the package in a checkout, inside it in a wheel.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
     package = Path(__file__).resolve().parents[1]
     for folder in (package / name, package.parent / name):
         if (folder / file).is_file():
@@ -180,6 +184,10 @@ def read_text(path: Path, advice: str = AGAIN, most: int = MOST_TEXT) -> str:
     """Return the text of a file (UTF-8), which is compressed where its name ends with ``.gz``.
 
     It may hold ``most`` bytes; ``advice`` says what to do if it is missing or no text.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is damaged, no text, or too long.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist{' as a file' * path.exists()}: {advice}")
@@ -194,7 +202,12 @@ def read_text(path: Path, advice: str = AGAIN, most: int = MOST_TEXT) -> str:
 
 
 def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Return the rows of a CSV file by column; it must have ``columns``, and each row a cell for each."""
+    """Return the rows of a CSV file by column; it must have ``columns``, and each row a cell for each.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is not text, lacks one of ``columns``, or has a row with more or fewer cells.
+    """
     text = read_text(path)
     with reading(path, "table"):
         reader = csv.DictReader(StringIO(text, newline=""), strict=True)
@@ -208,7 +221,12 @@ def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the plain values of a YAML file of at most :data:`MOST_YAML`."""
+    """Return the plain values of a YAML file of at most :data:`MOST_YAML`.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is not YAML, or larger than :data:`MOST_YAML`.
+    """
     import yaml
 
     text = read_text(path, most=MOST_YAML)
@@ -221,12 +239,21 @@ def read_yaml(path: Path) -> Any:
 
 
 def read_json(path: Path) -> Any:
-    """Return the plain values of a JSON file."""
+    """Return the plain values of a JSON file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is not JSON, larger than :data:`MOST_TEXT` or nested too deep.
+    """
     return parse_json(read_text(path), path)
 
 
 def parse_json(text: str, source: object) -> Any:
-    """Return the plain values of a JSON text; ``source`` is for messages."""
+    """Return the plain values of a JSON text; ``source`` is for messages.
+
+    Raises:
+        ValueError: the text is not JSON, or nested too deep.
+    """
     with reading(source, "JSON file"):
         level = [content := json.loads(text, parse_int=_whole_number, parse_constant=_refuse_constant)]
         for _ in range(DEEPEST):

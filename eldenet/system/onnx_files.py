@@ -18,7 +18,12 @@ EXPORT_AGAIN = "fetch it or export it again"
 
 
 def read_graph(path: str | Path) -> "onnx.ModelProto":
-    """Return the content of an ONNX file; weights that it keeps in other files are not read."""
+    """Return the content of an ONNX file; weights that it keeps in other files are not read.
+
+    Raises:
+        ImportError: the package ``onnx`` is missing.
+        ValueError: it is no ONNX file.
+    """
     require(f"reading {path}", "onnx")
     import onnx
 
