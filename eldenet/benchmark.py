@@ -26,7 +26,7 @@ from eldenet.deploy.runtimes import PACKAGES, PRECISIONS, RUNTIMES, TORCH
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.geometry import resize_image
 from eldenet.results.run_log import RunLog
-from eldenet.system.checks import at_least, one_of
+from eldenet.system.checks import at_least, check_size, one_of
 from eldenet.system.digests import digest_of
 from eldenet.system.extras import require
 from eldenet.system.files import safe_stem
@@ -85,9 +85,11 @@ class BenchmarkSettings:
         at_least(1, rounds=self.rounds, calibration=self.calibration)
         if not 0 < self.seconds < math.inf:
             raise ValueError(f"seconds={self.seconds}: give a time above 0 for each turn")
-        pairs = [isinstance(size, list) and [*map(type, size)] == [int, int] for size in listed(self.sizes)]
-        if not all(pairs):
+        sizes = listed(self.sizes)
+        if not all(isinstance(size, list) and [*map(type, size)] == [int, int] for size in sizes):
             raise ValueError(f"sizes={self.sizes}: give [[height, width], ...] in pixels")
+        for size in sizes:
+            check_size("sizes", size)
         one_of("accuracy", self.accuracy, METRICS)
 
     @property

@@ -242,6 +242,7 @@ def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> N
         (["reference=eldenet_x"], "reference=eldenet_x is not among the models: choose one of eldenet_s"),
         (["rounds=0"], "rounds=0"),
         (["sizes=[]"], "sizes=.*: give at least one"),
+        (["sizes=[[0,32]]"], r"sizes=\[0, 32\]: give \[height, width\] in pixels, 1 to"),
     ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, overrides: list[str], message: str) -> None:
