@@ -16,8 +16,8 @@ FORWARD = level_rotation(0.1).T[:, 2]
 
 
 def drive(path: Path, bend: float, sign: int = 1) -> DrivePoses:
-    """Poses of a minute in bows; ``sign`` of the heading that is told."""
-    times = np.arange(0, 60, 0.1)
+    """Poses of 40 s in bows; ``sign`` of the heading that is told."""
+    times = np.arange(0, 40, 0.1)
     heading = bend * (np.sin(0.9 * times) + np.sin(2.3 * times + 1))
     places = np.cumsum(0.03 * np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
     rows = np.column_stack([times, places, sign * heading]).round(6)
@@ -29,11 +29,11 @@ def pairs(poses: DrivePoses) -> list[Pair]:
     """Corners that the camera sees on its way, each pair of pictures a quarter of a second apart."""
     rng = np.random.default_rng(0)
     found = []
-    for begin in np.arange(4.0, 55.0, STEP):
+    for begin in np.arange(4.0, 34.0, STEP):
         one, other = poses.at(begin), poses.at(begin + STEP)
         motion = np.linalg.inv(other) @ one
-        rays = np.column_stack([rng.uniform(-0.7, 0.7, 60), rng.uniform(-0.5, 0.5, 60), np.ones(60)])
-        points = rays * rng.uniform(0.8, 5.0, 60)[:, None]
+        rays = np.column_stack([rng.uniform(-0.7, 0.7, 30), rng.uniform(-0.5, 0.5, 30), np.ones(30)])
+        points = rays * rng.uniform(0.8, 5.0, 30)[:, None]
         later = points @ motion[:3, :3].T + motion[:3, 3]
         here, there = ((seen @ LENS.T)[:, :2] / seen[:, 2:] for seen in (points, later))
         there += rng.normal(0, 0.3, there.shape)
@@ -41,8 +41,9 @@ def pairs(poses: DrivePoses) -> list[Pair]:
     return found
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.13, -0.8, 2.6])
-@pytest.mark.parametrize("lens", [LENS, pinhole(330.0, 330.0, 159.5, 119.5)], ids=["right", "wrong"])
+@pytest.mark.parametrize(
+    ("delay", "lens"), [(0.0, LENS), (-0.8, pinhole(330.0, 330.0, 159.5, 119.5)), (2.6, LENS)]
+)
 def test_a_delay_is_found_whatever_lens_was_told(tmp_path, delay, lens):
     poses = drive(tmp_path / "o.csv", 0.3)
     late = replace(poses, seconds=poses.seconds + delay)
