@@ -107,8 +107,10 @@ class Loader(DataLoader):
         """
         try:
             yield from super().__iter__()
-        except RuntimeError as error:
-            if "exited unexpectedly" not in str(error):
+        except (RuntimeError, ConnectionError, EOFError) as error:
+            # the last two: it was killed while it handed over a batch, unless a frame's reading raised them
+            handing_over = not isinstance(error, RuntimeError) and "DataLoader worker" not in str(error)
+            if not handing_over and "exited unexpectedly" not in str(error):
                 raise
             raise ChildProcessError(
                 "a process that loads data was killed, as happens when memory runs out "

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from support.training import TWO_WORKERS, digest, fit, make_trainer
 
-from eldenet.data.loaders import EpochSampler
+from eldenet.data.loaders import EpochSampler, Loader
 from eldenet.system.errors import line_of
 from eldenet.training.checkpoint import load_checkpoint
 from eldenet.training.trainer import Trainer
@@ -133,6 +133,16 @@ def test_a_killed_worker_ends_the_training_in_one_line(tmp_path):
     assert "memory" in line
     assert "lower runtime.workers" in line
     assert "\n" not in line
+
+
+@pytest.mark.parametrize("error", [ConnectionResetError(104, "Connection reset by peer"), EOFError()])
+def test_a_worker_killed_while_it_hands_over_a_batch_is_said_in_the_same_line(monkeypatch, error):
+    def broken(loader):
+        raise error
+
+    monkeypatch.setattr("torch.utils.data.DataLoader.__iter__", broken)
+    with pytest.raises(ChildProcessError, match=r"lower runtime\.workers"):
+        next(iter(Loader([])))
 
 
 @pytest.mark.parametrize(
