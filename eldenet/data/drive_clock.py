@@ -41,7 +41,10 @@ def find_delay(
     camera: np.ndarray | None = None
     errors = []
     for step in FINE_STEPS:
-        error, camera = fit_error(moved_pairs(timed, poses, near + step), intrinsics, forward, camera)
+        moved = moved_pairs(timed, poses, near + step)
+        if len(moved) < LEAST_PAIRS:  # poses too rare to be interpolated
+            return None
+        error, camera = fit_error(moved, intrinsics, forward, camera)
         errors.append(error)
     best = int(np.argmin(errors))
     if best in (0, len(errors) - 1):

@@ -50,10 +50,12 @@ def test_a_delay_is_found_whatever_lens_was_told(tmp_path, delay, lens):
     assert find_delay(pairs(poses), late, lens, FORWARD) == pytest.approx(delay, abs=0.02)
 
 
-def test_a_straight_drive_or_pictures_without_times_do_not_tell_it(tmp_path):
+def test_a_straight_drive_rare_poses_or_pictures_without_times_do_not_tell_it(tmp_path):
     straight = drive(tmp_path / "o.csv", 0.001)
     assert find_delay(pairs(straight), straight, LENS, FORWARD) is None
     bows = drive(tmp_path / "o.csv", 0.3)
+    rare = replace(bows, cameras=bows.cameras[::10], seconds=bows.seconds[::10])  # one each second
+    assert find_delay(pairs(bows), rare, LENS, FORWARD) is None
     timeless = [pair._replace(times=None) for pair in pairs(bows)]
     assert find_delay(timeless, bows, LENS, FORWARD) is None
 
