@@ -24,7 +24,7 @@ from eldenet.types import DepthSample, Frame
 #: value are shifted.
 GAIN, GRAY, MEAN, OFFSET, HUE, SATURATION, VALUE = range(7)
 UNCHANGED = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-STAGES = 6  # brightness and contrast; four of the jitter; hue, saturation and value
+STAGES = 7  # one gray; brightness and contrast; four of the jitter; hue, saturation and value
 
 
 def raw_sample(
@@ -58,7 +58,7 @@ def raw_sample(
 
 
 def color_stages(draws: Sequence[tuple[Any, Mapping[str, Any]]]) -> np.ndarray:
-    """Return the ``(6, 7)`` color changes that were drawn from albumentations' transforms, in their order.
+    """Return the ``(7, 7)`` color changes that were drawn from albumentations' transforms, in their order.
 
     Raises:
         ValueError: another transform was drawn.
@@ -105,7 +105,7 @@ def sampling_matrix(
 def leave_out_idle(plan: Mapping[str, Tensor]) -> dict[str, Any]:
     """Leave out of a batch's plan what changes none of its frames: a device cannot know without waiting.
 
-    Of ``matrix (B, 2, 3)``, ``color (B, 6, 7)`` and what is always needed, the plan keeps ``color`` as a list
+    Of ``matrix (B, 2, 3)``, ``color (B, 7, 7)`` and what is always needed, the plan keeps ``color`` as a list
     of stages ``(B, 7)``, and gets ``shifts``: of each stage, whether it shifts hue, saturation or value.
     """
     kept: dict[str, Any] = {name: value for name, value in plan.items() if name not in ("matrix", "color")}

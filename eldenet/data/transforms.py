@@ -61,6 +61,8 @@ class Augmentation:
         hue: see ``hue_saturation``.
         saturation: see ``hue_saturation``.
         value: see ``hue_saturation``.
+        covered: probability that all of the picture gets one gray, as before a covered lens, a bare wall or in
+            the dark. Its depth stays, so a network learns how little such a picture tells.
 
     Raises:
         ValueError: a probability or range is out of its bounds.
@@ -85,8 +87,10 @@ class Augmentation:
         hue: float = 10.0,
         saturation: float = 20.0,
         value: float = 10.0,
+        covered: float = 0.0,
     ) -> None:
         fractions = {"flip": flip, "affine": affine, "brightness_contrast": brightness_contrast}
+        fractions |= {"covered": covered}
         fractions |= {"color_jitter": color_jitter, "hue_saturation": hue_saturation, "shift": shift}
         fractions |= {"brightness": brightness, "contrast": contrast, "jitter": jitter}
         for name, fraction in fractions.items():
@@ -118,6 +122,12 @@ class Augmentation:
                 )
             )
         self.color: list[Any] = []
+        if covered:  # without contrast, one gray of any brightness is left
+            self.color.append(
+                A.RandomBrightnessContrast(
+                    brightness_limit=(0, 1), contrast_limit=(-1, -1), ensure_safe_range=False, p=covered
+                )
+            )
         if brightness_contrast:
             self.color.append(
                 A.RandomBrightnessContrast(

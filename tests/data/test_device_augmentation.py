@@ -88,6 +88,7 @@ def test_frames_that_are_resized_first_move_alike():
         ({"color_jitter": 1, "jitter": 0.4}, 1),
         ({"color_jitter": 1, "jitter_hue": 0.2}, 2),
         ({"hue_saturation": 1, "hue": 30, "saturation": 60, "value": 40}, 2),
+        ({"covered": 1}, 1),
     ],
 )
 def test_colors_change_alike(what, mean):

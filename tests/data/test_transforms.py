@@ -154,6 +154,17 @@ def test_color_leaves_depth_alone() -> None:
     np.testing.assert_array_equal(moved.intrinsics, frame.intrinsics)
 
 
+def test_a_covered_picture_is_one_gray_and_keeps_its_depth() -> None:
+    frame, grays = ramp_frame(), set()
+    for seed in range(20):
+        covered = Augmentation(**{**OFF, "covered": 1})(frame, np.random.default_rng(seed))
+        assert (covered.image == covered.image[0, 0, 0]).all()
+        grays.add(int(covered.image[0, 0, 0]))
+        np.testing.assert_array_equal(covered.depth, frame.depth)
+    assert len(grays) > 10
+    assert min(grays) < 50 and max(grays) > 200
+
+
 def test_off_is_identity_and_input_is_not_changed() -> None:
     frame, copy = ramp_frame(), ramp_frame()
     same = Augmentation(**OFF)(frame, np.random.default_rng(0))
