@@ -61,8 +61,8 @@ class Augmentation:
         hue: see ``hue_saturation``.
         saturation: see ``hue_saturation``.
         value: see ``hue_saturation``.
-        covered: probability that all of the picture gets one gray, as before a covered lens, a bare wall or in
-            the dark. Its depth stays, so a network learns how little such a picture tells.
+        covered: probability that all of the picture gets one gray, as of a covered lens, a bare wall or the
+            dark. Its depth stays, so a network learns how little such a picture tells.
 
     Raises:
         ValueError: a probability or range is out of its bounds.
