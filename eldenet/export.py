@@ -32,7 +32,7 @@ ENDINGS = {"onnx": ".onnx", "openvino": ".xml"}
 PRECISIONS = {"onnx": ("fp32", "int8"), "openvino": ("fp32", "bf16", "int8")}
 FP32_TOLERANCE = 1e-3  # an fp32 file with a larger median relative difference is wrong, not rounded
 INT8_TOLERANCE = 0.02  # an int8 file with a larger median relative difference is worth a warning
-CAMERA_TOLERANCE = 5e-3  # with camera=: OpenCV rounds resized pictures to gray levels, the graph does not
+CAMERA_TOLERANCE = 0.02  # with camera=: OpenCV rounds resized pictures to gray levels, the graph does not
 
 
 @dataclass(frozen=True)
