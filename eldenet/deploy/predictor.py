@@ -176,7 +176,17 @@ class DepthPredictor:
             raise ValueError(
                 f"frame is {size[0]} x {size[1]} px: give a picture of {LEAST_SIDE} px or more to each side"
             )
-        focal = focal_length(intrinsics, fov, size, focal)
+        return self.estimate_unrounded(frame, focal_length(intrinsics, fov, size, focal))
+
+    def estimate_unrounded(self, frame: np.ndarray, focal: float | None = None) -> Any:
+        """As a call, but ``frame (H, W, 3)`` may be float32 gray levels, which resizing does not round.
+
+        ``export`` compares files that resize frames themselves with this; ``focal`` is fx [px].
+
+        Raises:
+            ValueError: what the network answers is no depth.
+        """
+        size = (frame.shape[0], frame.shape[1])
         picture, (depth, *sigma), scale = self._maps(frame)
         check_depth(depth)
         spread = [each / depth for each in sigma]  # it stays what it is where depth changes
@@ -201,7 +211,7 @@ class DepthPredictor:
         top, bottom, left, right = fit_into(size, (height, width if camera else width * self.stretch))
         picture = image = resize_image(frame, (bottom - top, right - left))
         if image.shape[:2] != size:
-            filled = np.full((*size, 3), BORDER_COLOR, np.uint8)
+            filled = np.full((*size, 3), BORDER_COLOR, image.dtype)
             filled[top:bottom, left:right] = image
             image = filled
         if camera is None and size != self.input_size:
