@@ -1,8 +1,8 @@
-"""A training step as one CUDA graph: the host launches it once, not kernel by kernel."""
+"""A training step as a CUDA graph for each shape: the host launches it once, not kernel by kernel."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,11 +13,19 @@ Step = Callable[[dict[str, Any]], dict[str, Tensor]]
 Shapes = frozenset[tuple[str, torch.Size]]  # of a batch's tensors, by their names
 
 
-class GraphedStep:
-    """Captures ``step`` at the shapes that first came a few times, and from then on replays it.
+class Captured(NamedTuple):
+    """The step of one shape."""
 
-    Nothing in the step may wait for the GPU, and its result is only valid until the next call. A batch of
-    other shapes runs without the graph.
+    graph: torch.cuda.CUDAGraph
+    batch: dict[str, Tensor]  # that it reads
+    terms: dict[str, Tensor]  # that it writes
+
+
+class GraphedStep:
+    """Captures ``step`` at each shape that came a few times, and from then on replays it there.
+
+    Nothing in the step may wait for the GPU, and its result is only valid until the next call. So all graphs
+    may work in the same memory.
 
     Args:
         step: forward to optimizer, of one batch; returns its detached loss terms.
@@ -36,30 +44,33 @@ class GraphedStep:
                 )
             group["lr"] = torch.as_tensor(group["lr"], dtype=torch.float32, device=group["params"][0].device)
         self.stream, self.calls = torch.cuda.Stream(), Counter[Shapes]()
-        self.graph: torch.cuda.CUDAGraph | None = None
-        self.batch: dict[str, Tensor] = {}
-        self.terms: dict[str, Tensor] = {}
+        self.pool = torch.cuda.graph_pool_handle()
+        self.captured: dict[Shapes, Captured] = {}
 
     def __call__(self, batch: dict[str, Any]) -> dict[str, Tensor]:
         """Train on a batch; return its loss terms."""
         tensors = {name: value for name, value in batch.items() if isinstance(value, Tensor)}
-        if self.graph is None:
-            self.calls[_shapes(tensors)] += 1
-            if self.calls[_shapes(tensors)] <= WARM_UP:
+        shapes: Shapes = frozenset((name, value.shape) for name, value in tensors.items())
+        if shapes not in self.captured:
+            self.calls[shapes] += 1
+            if self.calls[shapes] <= WARM_UP:
                 return self._beside(batch)
-            self.batch = {name: value.clone() for name, value in tensors.items()}
-            self._set_capturable(True)
-            self.graph = torch.cuda.CUDAGraph()
-            # the loader's thread may pin memory meanwhile
-            with torch.cuda.graph(self.graph, stream=self.stream, capture_error_mode="thread_local"):
-                self.terms = self.step(batch | self.batch)
-            self._set_capturable(False)
-        elif _shapes(tensors) != _shapes(self.batch):
-            return self._beside(batch)
+            self.captured[shapes] = self._capture(batch, tensors)
+        graph, own, terms = self.captured[shapes]
         for name, value in tensors.items():
-            self.batch[name].copy_(value, non_blocking=True)
-        self.graph.replay()
-        return self.terms
+            own[name].copy_(value, non_blocking=True)
+        graph.replay()
+        return terms
+
+    def _capture(self, batch: dict[str, Any], tensors: Mapping[str, Tensor]) -> Captured:
+        own = {name: value.clone() for name, value in tensors.items()}
+        self._set_capturable(True)
+        graph = torch.cuda.CUDAGraph()
+        # the loader's thread may pin memory meanwhile
+        with torch.cuda.graph(graph, pool=self.pool, stream=self.stream, capture_error_mode="thread_local"):
+            terms = self.step(batch | own)
+        self._set_capturable(False)
+        return Captured(graph, own, terms)
 
     def _set_capturable(self, on: bool) -> None:
         """Tell the optimizer that it is captured; torch warns of it in steps that are not."""
@@ -74,7 +85,3 @@ class GraphedStep:
             terms = self.step(batch)
         current.wait_stream(self.stream)
         return terms
-
-
-def _shapes(tensors: Mapping[str, Tensor]) -> Shapes:
-    return frozenset((name, value.shape) for name, value in tensors.items())

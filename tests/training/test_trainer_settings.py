@@ -188,12 +188,13 @@ class FakeGraph:
 
     def replay(self):
         FakeGraph.replays += 1
-        self.graphed.terms["total"].copy_(self.graphed.batch["image"].sum())
+        _, batch, terms = next(one for one in self.graphed.captured.values() if one.graph is self)
+        terms["total"].copy_(batch["image"].sum())
 
 
-def test_a_graphed_step_replays_on_each_batch_and_runs_others_beside(monkeypatch):
+def test_a_graphed_step_replays_at_each_shape_that_came_a_few_times(monkeypatch):
     stream = MagicMock()
-    for name in ("Stream", "stream", "current_stream", "graph"):
+    for name in ("Stream", "stream", "current_stream", "graph", "graph_pool_handle"):
         monkeypatch.setattr(torch.cuda, name, MagicMock(return_value=stream))
     monkeypatch.setattr(torch.cuda, "CUDAGraph", FakeGraph)
     seen = []
@@ -206,15 +207,13 @@ def test_a_graphed_step_replays_on_each_batch_and_runs_others_beside(monkeypatch
     optimizer = torch.optim.Adam([weight], lr=0.5, fused=True)
     graphed = GraphedStep(step, optimizer)
     FakeGraph.graphed = graphed
-    for rows in range(3, 3 + WARM_UP):  # shapes that came once each: a capture could not choose kernels
-        graphed({"image": torch.ones(rows, 2), "name": ["a"]})
-    seen.clear()
     for value in range(WARM_UP + 3):
-        terms = graphed({"image": torch.full((2, 2), float(value)), "name": ["a"]})
-        assert terms["total"] == 4 * value
-    assert (seen, FakeGraph.replays) == ([*WARM_UP * [False], True], 3)
-    assert graphed({"image": torch.ones(1, 2), "name": ["a"]})["total"] == 2
-    assert (seen, FakeGraph.replays) == ([*WARM_UP * [False], True, False], 3)
+        for rows in (2, 5):
+            terms = graphed({"image": torch.full((rows, 2), float(value)), "name": ["a"]})
+            assert terms["total"] == 2 * rows * value
+    assert (seen, FakeGraph.replays) == ([*2 * WARM_UP * [False], True, True], 6)
+    assert graphed({"image": torch.ones(1, 2), "name": ["a"]})["total"] == 2  # seldom: no graph
+    assert (seen[-1], FakeGraph.replays) == (False, 6)
     rates = constant(optimizer, 10, 5)  # a schedule writes into the tensor that the graph reads
     kept = optimizer.param_groups[0]["lr"]
     rates.step()
