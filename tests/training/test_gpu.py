@@ -92,7 +92,8 @@ def test_a_compiled_or_replayed_training_is_the_same(tmp_path: Path, options: di
 
 @pytest.mark.parametrize("options", [{}, {"aspect_ratios": [1.3, 0.75]}], ids=str)
 def test_batches_of_several_shapes_are_replayed(tmp_path: Path, options: dict[str, list[float]]) -> None:
-    settings = {"frames": 13, "epochs": 8} | options  # three batches of 4 frames and one of 1
+    data = SyntheticDepth(13, input_size=(32, 40))  # three batches of 4 frames and one of 1
+    settings = {"data": data, "epochs": 8} | options
     plain, replayed = (losses(tmp_path / str(on), cuda_graph=on, **settings) for on in (False, True))
     assert replayed == pytest.approx(plain, rel=2e-2)
 
