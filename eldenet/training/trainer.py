@@ -97,7 +97,7 @@ class Trainer:
         deterministic: the same result each time, at the cost of speed on a GPU; None: on a CPU, where it is
             free. Without it, cuDNN tries which kernels are fastest.
         compile: ``torch.compile`` network and loss: a slow start, then faster steps.
-        cuda_graph: replay a step of one GPU as a CUDA graph, for small networks and batches.
+        cuda_graph: replay a step of one GPU as a CUDA graph of its shape, for small networks and batches.
         profile: write a trace of a few steps, and print where the time went.
         loggers: names of :data:`~eldenet.results.loggers.LOGGERS`, which get the curves and pictures.
     """

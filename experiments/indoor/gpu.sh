@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# Three trainings at once on one GPU with 16 cores, in eight minutes: gpu.sh SMALL_FRAMES OUTPUT [settings of all three]
+# SMALL_FRAMES is from small_frames.py. A training that runs out of time goes on when this is started again.
+# Does it run? ROOMS=64 bash experiments/indoor/gpu.sh small_frames.tar runs runtime.device=cpu trainer.cuda_graph=false trainer.epochs=1
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+frames=$1 output=$2 rooms=${ROOMS:-24576} seconds=${SECONDS_EACH:-390}
+shift 2
+export ELDENET_DATA="${ELDENET_DATA:-$output/data}"
+[ -d "$ELDENET_DATA" ] || python experiments/indoor/small_frames.py unpack "$frames" "$ELDENET_DATA"
+mix=("data.sources.rooms.data.frames=$rooms" data.val.split=dev)   # the held-out frames stay at home
+python - "${mix[@]}" <<'PREPARE'
+import sys
+
+from eldenet.compose import compose
+from eldenet.evaluation.splits import chosen_protocol, open_split
+from eldenet.train import TrainSettings
+
+if __name__ == "__main__":
+    data = compose(TrainSettings, ["+experiment=indoor_lite_gpu", *sys.argv[1:]]).data
+    open_split(data, "train", protocol=chosen_protocol(data, None))   # renders the rooms, labels the photographs
+PREPARE
+train() { # name, settings
+    timeout "$seconds" python -m eldenet.train "+experiment=$1" "output=$output/$1" ckpt_path=auto \
+        runtime.workers=4 runtime.threads=1 "${@:2}" > "$output/$1.log" 2>&1 || true
+    tail -n 1 "$output/$1.log"
+}
+train rooms_lite_small_gpu "data.frames={train: $rooms, val: 64, test: 64}" "$@" &
+train indoor_lite_small_gpu "${mix[@]}" "$@" &
+train indoor_lite_gpu "${mix[@]}" "$@" &
+wait
