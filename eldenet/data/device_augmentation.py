@@ -33,13 +33,14 @@ def raw_sample(
     """Return a frame of ``dataset``, as read, as a sample of ``size`` that :func:`augment` makes whole.
 
     All of the data set's transforms are done here, but for the :class:`~eldenet.data.transforms.Augmentation`
-    at their end, which only draws.
+    at their end, which does what another camera would and only draws the rest.
     """
     transform = dataset.transform
     steps = transform.steps if isinstance(transform, Compose) else [] if transform is None else [transform]
     change: Change | None = None
     for step in steps:
         if isinstance(step, Augmentation) and step is steps[-1]:
+            frame = step.as_of_another_camera(frame, generator)
             change = step.draw(frame, generator)
         else:
             frame = step(frame, generator)

@@ -63,6 +63,11 @@ class Augmentation:
         value: see ``hue_saturation``.
         covered: probability that all of the picture gets one gray, as of a covered lens, a bare wall or the
             dark. Its depth stays, so a network learns how little such a picture tells.
+        camera: probability of a picture as of another, worse camera: with other gamma and white balance,
+            fewer pixels, blur, sharpening, noise and JPEG's artifacts, each by chance.
+        random_convolution: probability that a random filter mixes colors and neighbors, so that shapes stay
+            and textures do not: for rendered pictures (Xu et al., "Robust and Generalizable Visual
+            Representation Learning via Random Convolutions", ICLR 2021).
 
     Raises:
         ValueError: a probability or range is out of its bounds.
@@ -88,16 +93,18 @@ class Augmentation:
         saturation: float = 20.0,
         value: float = 10.0,
         covered: float = 0.0,
+        camera: float = 0.0,
+        random_convolution: float = 0.0,
     ) -> None:
         fractions = {"flip": flip, "affine": affine, "brightness_contrast": brightness_contrast}
-        fractions |= {"covered": covered}
+        fractions |= {"covered": covered, "camera": camera, "random_convolution": random_convolution}
         fractions |= {"color_jitter": color_jitter, "hue_saturation": hue_saturation, "shift": shift}
         fractions |= {"brightness": brightness, "contrast": contrast, "jitter": jitter}
         for name, fraction in fractions.items():
             if not 0.0 <= fraction <= 1.0:
                 raise ValueError(f"{name}={fraction}: give a number from 0 to 1")
         one_of("zoom", zoom, ("depth", "focal"))
-        self.zoom = zoom
+        self.zoom, self.camera, self.random_convolution = zoom, camera, random_convolution
         low, high = (float(s) for s in scale)
         if not 0.1 <= low <= high:
             raise ValueError(
@@ -106,6 +113,7 @@ class Augmentation:
 
         prepare_environment()  # without it, albumentations asks the network for a newer version
         import albumentations as A
+        import cv2
 
         self.geometry: list[Any] = [A.HorizontalFlip(p=flip)] if flip else []
         if affine:
@@ -140,6 +148,16 @@ class Augmentation:
             self.color.append(A.ColorJitter(spread, spread, spread, hue=hues, p=color_jitter))
         if hue_saturation:
             self.color.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
+        averaged = {"downscale": cv2.INTER_AREA, "upscale": cv2.INTER_LINEAR}
+        self.flaws: list[Any] = [
+            A.RandomGamma((60, 165), p=0.7),
+            A.MultiplicativeNoise((0.85, 1.15), per_channel=True, p=0.7),  # white balance
+            A.Downscale((0.4, 0.9), interpolation_pair=averaged, p=0.2),
+            A.GaussianBlur(sigma_limit=(0.4, 1.6), p=0.4),
+            A.UnsharpMask(p=0.15),
+            A.GaussNoise((0.0, 0.06), p=0.5),
+            A.ImageCompression(quality_range=(20, 90), p=0.4),
+        ]
 
     def __call__(self, frame: Frame, generator: np.random.Generator) -> Frame:
         """Augment one frame; see :class:`Augmentation`.
@@ -147,6 +165,7 @@ class Augmentation:
         Raises:
             ValueError: image and depth differ in size.
         """
+        frame = self.as_of_another_camera(frame, generator)
         change = self.draw(frame, generator)
         image, depth, _, name, labels = frame
         for transform, drawn in change.geometry:
@@ -162,8 +181,19 @@ class Augmentation:
             depth = depth / np.float32(change.nearer)
         return Frame(image, depth, change.intrinsics, name, labels)
 
+    def as_of_another_camera(self, frame: Frame, generator: np.random.Generator) -> Frame:
+        """Return the frame after ``random_convolution`` and ``camera``, which come before all else."""
+        image = frame.image
+        if self.random_convolution and generator.random() < self.random_convolution:
+            image = randomly_convolved(image, generator)
+        if self.camera and generator.random() < self.camera:
+            chance = random.Random(int(generator.integers(2**63)))
+            for transform, drawn in _drawn(self.flaws, image.shape[:2], generator, chance):
+                image = transform.apply(image, **drawn)
+        return frame._replace(image=image)
+
     def draw(self, frame: Frame, generator: np.random.Generator) -> Change:
-        """Draw what happens to a frame.
+        """Draw what else happens to a frame.
 
         Raises:
             ValueError: image and depth differ in size.
@@ -198,6 +228,29 @@ class Augmentation:
             moved[:2, 2] = matrix @ np.array([intrinsics[0, 2], intrinsics[1, 2], 1.0])
             intrinsics = moved
         return zoom if zoom != longer else 1.0, intrinsics
+
+
+def randomly_convolved(image: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """An RGB image ``(H, W, 3)`` uint8, mixed with itself after a random filter of 1 to 7 pixels.
+
+    Mean and spread of each channel stay about the same.
+    """
+    import cv2
+
+    side = int(generator.choice([1, 3, 5, 7]))
+    filters = generator.normal(0, 1, (3, 3, side, side)).astype(np.float32)
+    picture = image.astype(np.float32)
+    filtered = np.stack(
+        [
+            sum(cv2.filter2D(picture[..., i], -1, one[i], borderType=cv2.BORDER_REFLECT) for i in range(3))
+            for one in filters
+        ],
+        axis=-1,
+    )
+    centered = (filtered - filtered.mean((0, 1))) / (filtered.std((0, 1)) + 1e-3)
+    filtered = centered * picture.std((0, 1)) + picture.mean((0, 1))
+    share = np.float32(generator.random())
+    return np.rint(share * picture + (1 - share) * filtered).clip(0, 255).astype(np.uint8)
 
 
 def _drawn(

@@ -89,6 +89,8 @@ def test_frames_that_are_resized_first_move_alike():
         ({"color_jitter": 1, "jitter_hue": 0.2}, 2),
         ({"hue_saturation": 1, "hue": 30, "saturation": 60, "value": 40}, 2),
         ({"covered": 1}, 1),
+        ({"camera": 1}, 1),
+        ({"random_convolution": 1}, 1),
     ],
 )
 def test_colors_change_alike(what, mean):

@@ -145,7 +145,7 @@ def test_unknown_stays_unknown() -> None:
 def test_color_leaves_depth_alone() -> None:
     frame = ramp_frame()
     colors = {"brightness_contrast": 1, "color_jitter": 1, "hue_saturation": 1, "jitter_hue": 0.05}
-    for one in ("brightness_contrast", "color_jitter", "hue_saturation"):
+    for one in ("brightness_contrast", "color_jitter", "hue_saturation", "camera", "random_convolution"):
         moved = Augmentation(**{**OFF, one: 1})(frame, np.random.default_rng(1))
         assert not np.array_equal(moved.image, frame.image), one
     moved = Augmentation(**{**OFF, **colors})(frame, np.random.default_rng(1))
@@ -164,6 +164,23 @@ def test_a_covered_picture_is_one_gray_and_keeps_its_depth() -> None:
     assert len(grays) > 10
     assert min(grays) < 50
     assert max(grays) > 200
+
+
+def test_another_camera_and_a_random_filter_keep_shapes() -> None:
+    """A step of brightness stays at its place; each seed sees another picture, as bright on the whole."""
+    image = np.full((48, 64, 3), 60, np.uint8)
+    image[:, 32:] = 180
+    frame = ramp_frame()._replace(image=image, depth=np.ones((48, 64), np.float32))
+    for name in ("camera", "random_convolution"):
+        seen = [Augmentation(**{**OFF, name: 1})(frame, np.random.default_rng(i)).image for i in range(12)]
+        assert len({one.tobytes() for one in seen}) == 12
+        places = []
+        for one in seen:
+            assert one.shape == image.shape
+            assert 60 < one.mean() < 180
+            steps = np.abs(np.diff(one.astype(float).mean(0), axis=0)).sum(-1)
+            places.append(int(steps.argmax()))
+        assert np.median(np.abs(np.array(places) - 31)) <= 2, name
 
 
 def test_off_is_identity_and_input_is_not_changed() -> None:
