@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Three trainings at once on one GPU with 16 cores, in eight minutes: gpu.sh SMALL_FRAMES OUTPUT [settings of all three]
-# SMALL_FRAMES is from small_frames.py. A training that runs out of time goes on when this is started again.
+# Three trainings at once on one GPU with 16 cores, 390 s each after rooms and labels: gpu.sh SMALL_FRAMES OUTPUT [settings of all three]
+# SMALL_FRAMES is from small_frames.py; where ELDENET_DATA is set, its data sets are used instead. A training that runs
+# out of time goes on when this is started again.
 # Does it run? ROOMS=64 SECONDS_EACH=60 bash experiments/indoor/gpu.sh small_frames.tar runs runtime.device=cpu trainer.cuda_graph=false
 set -euo pipefail
 cd "$(dirname "$0")/../.."

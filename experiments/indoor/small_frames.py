@@ -1,6 +1,6 @@
 """Small copies of what indoor networks train on, for a machine without the data sets, such as a rented GPU.
 
-python experiments/indoor/small_frames.py pack small_frames.tar      # from $ELDENET_DATA: 25 MB
+python experiments/indoor/small_frames.py pack small_frames.tar      # from $ELDENET_DATA: 24 MB
 python experiments/indoor/small_frames.py unpack small_frames.tar data    # there; then ELDENET_DATA=data
 
 The 665 training frames of NYU at 240 x 320 (WebP; depth without loss), and the photographs with a short side
@@ -25,13 +25,12 @@ NYU = "nyu_depth_v2/labeled/data/nyu2_train/labeled_out"
 PHOTOGRAPHS = "unlabelled/openimages_doors"
 SIZE, WHOLE = (320, 240), (640, 480)  # (width, height) [px]
 SHORT_SIDE = 160  # [px]
-LOSSY = {"format": "WEBP", "quality": 82}
 
 
-def encoded(image: np.ndarray, **options: object) -> bytes:
+def encoded(image: np.ndarray, quality: int = 82, lossless: bool = False) -> bytes:
     """An image as a WebP file."""
     file = io.BytesIO()
-    Image.fromarray(image).save(file, **(LOSSY | options))  # type: ignore[arg-type]
+    Image.fromarray(image).save(file, "WEBP", quality=quality, lossless=lossless)
     return file.getvalue()
 
 
