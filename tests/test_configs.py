@@ -176,8 +176,7 @@ def test_a_network_of_other_parts_has_their_names() -> None:
         (["model=eldenet_s", "model.decoder.width=64"], "eldenet_s"),
         (["model=mobilenet_v2_upconv", "model/decoder=fast_upconv"], "mobilenet_v2_fast_upconv"),
         (["model/backbone=resnet18", "model_name=mine"], "mine"),
-        (["+experiment=indoor_lite"], "efficientnet_lite2_fast_upconv"),
-        (["+experiment=indoor_l"], "mobilenet_v2_fast_upconv"),  # its YAML replaces the decoder
+        (["+experiment=indoor_lite"], "efficientnet_lite2_fast_upconv"),  # its YAML replaces both parts
         (["model=guidedepth"], "guidedepth"),
     ):
         assert compose(TrainSettings, words).model_name == name

@@ -1,6 +1,6 @@
 """METER-XXS and FastDepth together as the teacher of photographs (``pip install ai-edge-litert``).
 
-``PYTHONPATH=experiments/indoor python -m eldenet.train +experiment=indoor_l_sharp ...`` uses it.
+``PYTHONPATH=experiments/indoor python -m eldenet.train +experiment=indoor_lite ...`` uses it.
 """
 
 import hashlib
