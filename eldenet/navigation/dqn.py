@@ -50,7 +50,6 @@ class DQNSettings:
         exploration_final_eps: rate of random actions after that.
         max_grad_norm: gradient norm to clip at; 0: no clipping.
         hidden: widths of the network's layers.
-        quantiles: number of quantiles of each action's return (QR-DQN, a variant); 0: its mean only.
         checkpoint_interval: environment steps between checkpoints.
         seed: of everything.
 
@@ -74,14 +73,13 @@ class DQNSettings:
     exploration_final_eps: float = 0.03
     max_grad_norm: float = 10.0
     hidden: tuple[int, ...] = (128, 128)
-    quantiles: int = 0
     checkpoint_interval: int = 100_000
     seed: int = 0
 
     def __post_init__(self) -> None:
         counts = ("n_step", "batch_size", "buffer_size", "train_freq", "checkpoint_interval")
         shares = ("tau", "learning_rate_end", "exploration_final_eps")
-        may_be_0 = ("quantiles", "learning_starts", "target_update_interval", "max_grad_norm")
+        may_be_0 = ("learning_starts", "target_update_interval", "max_grad_norm")
         for names, fits, advice in (
             (("total_timesteps", *counts), lambda value: value >= 1, "1 or more"),
             ((*may_be_0, "exploration_fraction"), lambda value: value >= 0, "0 or more"),
@@ -113,7 +111,7 @@ class DQN:
         self.env, self.settings = env, settings
         inputs, actions = env.single_observation_space.shape[0], int(env.single_action_space.n)
         torch.manual_seed(settings.seed)
-        self.policy_dqn = QNetwork(inputs, actions, tuple(settings.hidden), max(1, settings.quantiles))
+        self.policy_dqn = QNetwork(inputs, actions, tuple(settings.hidden))
         self.target_dqn = copy.deepcopy(self.policy_dqn)
         self.optimizer = torch.optim.Adam(self.policy_dqn.parameters(), lr=settings.learning_rate, fused=True)
         self.replay = ReplayBuffer(settings.buffer_size, inputs)
@@ -150,8 +148,7 @@ class DQN:
         number = self.num_timesteps // settings.checkpoint_interval
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((settings.seed, number))))
         windows = NStepWindows(settings.n_step, robots, settings.gamma, self.replay)
-        progress = {"progress": self.num_timesteps / settings.total_timesteps}  # for a curriculum
-        obs, _ = env.reset(seed=int(rng.integers(2**31)), options=progress)
+        obs, _ = env.reset(seed=int(rng.integers(2**31)))
         end = min(settings.total_timesteps, (number + 1) * settings.checkpoint_interval)
         ends, losses, values = np.zeros(4), [], []
         next_report = self.num_timesteps + 5_000
@@ -215,18 +212,16 @@ class DQN:
     def loss(
         self, obs: Tensor, action: Tensor, value: Tensor, next_obs: Tensor, discount: Tensor
     ) -> tuple[Tensor, float]:
-        """Loss of the taken actions of ``B`` transitions (mean square or quantile), and their mean value.
+        """Mean squared error of the taken actions of ``B`` transitions, and their mean value.
 
         ``obs`` and ``next_obs`` are ``(B, inputs)``, the others ``(B,)``.
         """
         rows = torch.arange(len(obs))
         with torch.no_grad():
             chooser = self.policy_dqn if self.settings.double else self.target_dqn
-            after = self.target_dqn.spread(next_obs)[rows, chooser(next_obs).argmax(1)]
-            target = value[:, None] + discount[:, None] * after
-        q = self.policy_dqn.spread(obs)[rows, action]
-        loss = quantile_loss(q, target) if self.settings.quantiles else nn.functional.mse_loss(q, target)
-        return loss, float(q.detach().mean())
+            target = value + discount * self.target_dqn(next_obs)[rows, chooser(next_obs).argmax(1)]
+        q = self.policy_dqn(obs)[rows, action]
+        return nn.functional.mse_loss(q, target), float(q.detach().mean())
 
     def save(self, path: Path) -> None:
         """Write a checkpoint; a kill during the write leaves the previous one whole."""
@@ -334,20 +329,3 @@ class NStepWindows:
                     first_obs[whole], first_action[whole], value[whole], next_obs[whole], discount
                 )
         self.length[ended] = 0
-
-
-def quantile_loss(predicted: Tensor, target: Tensor) -> Tensor:
-    """Quantile regression loss with Huber's kappa 1.
-
-    Dabney et al., "Distributional reinforcement learning with quantile regression", AAAI 2018, eq. 10.
-
-    Args:
-        predicted: ``(N, Q)`` at the middles of ``Q`` equal intervals.
-        target: samples ``(N, S)``.
-    """
-    count = predicted.shape[1]
-    share = (torch.arange(count, dtype=predicted.dtype) + 0.5) / count
-    error = target[:, None, :] - predicted[:, :, None]
-    huber = torch.where(error.abs() < 1, 0.5 * error.square(), error.abs() - 0.5)
-    weight = (share[:, None] - (error.detach() < 0).to(predicted.dtype)).abs()
-    return (weight * huber).mean(2).sum(1).mean()

@@ -88,11 +88,7 @@ class ArenaNavVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode in every slot and return ``(num_envs, size)``; seeds in a list are one per slot.
-
-        ``options={"progress": share}`` is the share of the training that is done, for a curriculum; it needs
-        a seed after the first call.
-        """
+        """Start an episode in every slot; return ``(num_envs, size)``. Seeds in a list are one per slot."""
         if seed is not None or not self._rngs:
             if isinstance(seed, list):
                 streams = [np.random.SeedSequence(s) for s in seed]
@@ -100,8 +96,7 @@ class ArenaNavVectorEnv(VectorEnv):
                 # a list of one number: trainings stay the same bit for bit
                 streams = np.random.SeedSequence(None if seed is None else [seed]).spawn(self.num_envs)
             self._rngs = [np.random.Generator(np.random.PCG64(s)) for s in streams]
-            progress = float((options or {}).get("progress", 1.0))
-            self._tasks = [self.arenas.fresh(progress) for _ in range(self.num_envs)]
+            self._tasks = [self.arenas.fresh() for _ in range(self.num_envs)]
         for slot in range(self.num_envs):
             self._begin(slot)
         return self.observer.observe(self.episodes.sense()), {}

@@ -27,8 +27,6 @@ class TrainingArenas:
         min_distance: between start and goal [m].
         split: seed stream.
         kind: of :data:`~eldenet.simulation.arenas.KINDS`; mazes and corridors need densities of 0.
-        curriculum: share of the training during which the greatest number of obstacles grows from a quarter
-            of its range to the whole; 0: it is the whole from the start.
 
     Raises:
         ValueError: an argument is out of range.
@@ -42,38 +40,29 @@ class TrainingArenas:
     min_distance: float = 6.0
     split: str = "train"
     kind: str = "open"
-    curriculum: float = 0.0
 
     def __post_init__(self) -> None:
         one_of("kind", self.kind, tuple(KINDS))
         low, high = self.densities
-        shares = 0 <= self.dense_share <= 1 and 0 <= self.curriculum <= 1
-        if not 0 <= low <= high <= 120 or self.repeats < 1 or not shares:
+        if not 0 <= low <= high <= 120 or self.repeats < 1 or not 0 <= self.dense_share <= 1:
             raise ValueError(
-                f"densities={(low, high)}, dense_share={self.dense_share}, repeats={self.repeats}, "
-                f"curriculum={self.curriculum}: give 0 <= least <= greatest <= 120 obstacles, shares 0 to 1 "
-                "and at least 1 episode"
+                f"densities={(low, high)}, dense_share={self.dense_share}, repeats={self.repeats}: give "
+                "0 <= least <= greatest <= 120 obstacles, a share from 0 to 1 and at least 1 episode"
             )
-        self.low, self.high = low, high
         self._arena: Arena | None = None
         self._clearance = np.empty((0, 0))
         self._left = 0
 
-    def fresh(self, progress: float = 1.0) -> "TrainingArenas":
-        """Return a copy for another slot, when ``progress`` (0 to 1) of the training is done."""
-        arenas = replace(self)
-        if progress < self.curriculum:
-            share = 0.25 + 0.75 * progress / self.curriculum
-            arenas.high = arenas.low + round(share * (arenas.high - arenas.low))
-        return arenas
+    def fresh(self) -> "TrainingArenas":
+        """Return a copy for another slot, without its arena."""
+        return replace(self)
 
     def draw(self, rng: np.random.Generator) -> Arena:
         """Return the arena of the next episode."""
         if self._arena is None or self._left == 0:
-            least = self.low
-            if rng.random() < self.dense_share:
-                least = (self.low + self.high) // 2
-            density = int(rng.integers(least, self.high + 1))
+            low, high = self.densities
+            least = (low + high) // 2 if rng.random() < self.dense_share else low
+            density = int(rng.integers(least, high + 1))
             pedestrians = int(rng.integers(0, self.pedestrians + 1))
             index = int(rng.integers(2**31))
             self._arena = generate_arena(

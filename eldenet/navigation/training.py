@@ -1,5 +1,6 @@
 """Train a driver: checkpoints, validation on separate arenas, TensorBoard, the policy file."""
 
+import copy
 import json
 import time
 from collections.abc import Mapping
@@ -21,7 +22,8 @@ PROGRESS, RECORD = "progress.json", "training.json"
 VALIDATION_DENSITY = 80  # or the greatest number of obstacles in training, if that is less
 #: Settings that a checkpoint and the training that continues it have in common.
 COMPARED = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
-#: Settings, with the values that change nothing: trainings of earlier versions have none of them.
+#: Settings, with the values that change nothing: trainings of earlier versions lack some of them, and have
+#: ``quantiles`` and ``curriculum``, which are gone.
 IDLE: Mapping[str, tuple[Any, ...]] = {
     "false_near": (0.0,),
     "false_far": (0.0,),
@@ -32,6 +34,8 @@ IDLE: Mapping[str, tuple[Any, ...]] = {
     "latency": (0.0,),
     "drift": ({"distance": 0.0, "heading": 0.0},),
     "kind": ("open",),
+    "quantiles": (0,),
+    "curriculum": (0.0,),
     "randomize": ({"size": [1.0, 1.0], "speed": [1.0, 1.0], "latency": [0.0, 0.0]},),
 }
 
@@ -121,7 +125,7 @@ def _without_idle(settings: Any) -> Any:
 def _restore(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any]:
     """Load the checkpoint in ``folder`` into the learner and return the training's note."""
     note: dict[str, Any] = {"version": None} | read_record(folder / PROGRESS)
-    if note["settings"] != json.loads(json.dumps(fresh["settings"])):
+    if _without_idle(note["settings"]) != json.loads(json.dumps(fresh["settings"])):
         raise ValueError(f"output={folder} has a training with other settings: give another output")
     learner.restore(folder / CHECKPOINT)
     if not learner.finished and note["version"] != fresh["version"]:
@@ -135,4 +139,4 @@ def _restore(learner: DQN, folder: Path, fresh: dict[str, Any]) -> dict[str, Any
 
 def as_navigator(learner: DQN, robots: int) -> Navigator:
     """Return the learner's current policy."""
-    return Navigator(learner.policy_dqn.plain(), learner.env.observer.options, robots=robots)
+    return Navigator(copy.deepcopy(learner.policy_dqn), learner.env.observer.options, robots=robots)

@@ -53,12 +53,8 @@ LEARNED = {
         "observer.turn_rates=[1.2,0.5,0.0,-0.5,-1.2,1.2,-1.2,0.0]",
         "observer.turn_factors=[0.35,0.75,1.0,0.75,0.35,0.0,0.0,-0.4]",
     )),
-    "dqn_curriculum": Learned(("training.arenas.curriculum=0.5",)),
-    "dqn_quantile": Learned(("learner.quantiles=16",)),
 }  # fmt: skip
-VARIANTS = (  # only run by name
-    "paper_centers", "dqn_reverse", "dqn_curriculum", "dqn_quantile", "astar_online_dqn_follows",
-)  # fmt: skip
+VARIANTS = ("paper_centers", "dqn_reverse", "astar_online_dqn_follows")  # only run by name
 PLANNERS: dict[str, Callable[..., Any]] = {
     "astar_online_dqn": partial(
         PlanAndSteer, slows_within=1.0, heeds_unseen=False

@@ -1,4 +1,4 @@
-"""Deep Q-learning: returns, updates, checkpoints, quantiles, curriculum."""
+"""Deep Q-learning: returns, updates, checkpoints, settings."""
 
 import math
 
@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldenet.navigation.dqn import (
-    CHECKPOINT,
-    DQN,
-    DQNSettings,
-    NStepWindows,
-    ReplayBuffer,
-    quantile_loss,
-)
-from eldenet.navigation.qnetwork import QNetwork
+from eldenet.navigation.dqn import CHECKPOINT, DQN, DQNSettings, NStepWindows, ReplayBuffer
 from eldenet.navigation.tasks import TrainingArenas
 
 gym = pytest.importorskip("gymnasium")
@@ -136,17 +128,15 @@ class Corridor:
         return self._obs(), done.astype(float), done, np.zeros(8, bool), info
 
 
-@pytest.mark.parametrize("quantiles", [0, 8])
-def test_the_network_learns_the_known_values_of_a_corridor(quantiles):
+def test_the_network_learns_the_known_values_of_a_corridor():
     settings = DQNSettings(
         total_timesteps=8_000, checkpoint_interval=8_000, learning_starts=200, gamma=0.9, batch_size=64,
         hidden=(32,), buffer_size=4000, learning_rate=3e-3, tau=0.02, exploration_final_eps=0.3,
-        quantiles=quantiles,
     )  # fmt: skip
     learner = DQN(Corridor(), settings)
     learner.learn()
     with torch.no_grad():
-        values = learner.policy_dqn.plain()(torch.eye(10))[:9]
+        values = learner.policy_dqn(torch.eye(10))[:9]
     assert (values.argmax(1) == 1).all()
     assert values[:, 1].numpy() == pytest.approx([0.9 ** (8 - cell) for cell in range(9)], abs=0.12)
 
@@ -162,48 +152,12 @@ def test_gradients_are_clipped_and_learning_rates_fall_as_set():
     assert rates == pytest.approx([5e-5, 5e-4, 5e-5], rel=0.1)
 
 
-def test_the_quantile_loss_is_that_of_the_paper():
-    rng = np.random.default_rng(0)
-    predicted, target = rng.normal(0, 2, (6, 4)), rng.normal(0, 2, (6, 3))
-    expected = 0.0
-    for row in range(6):
-        for number, share in enumerate((0.125, 0.375, 0.625, 0.875)):
-            errors = target[row] - predicted[row, number]
-            huber = [0.5 * u * u if abs(u) < 1 else abs(u) - 0.5 for u in errors]
-            expected += np.mean([abs(share - (u < 0)) * h for u, h in zip(errors, huber, strict=True)])
-    got = quantile_loss(torch.from_numpy(predicted), torch.from_numpy(target))
-    assert float(got) == pytest.approx(expected / 6)
-
-
-def test_a_network_with_quantiles_has_an_equal_plain_network():
-    torch.manual_seed(0)
-    network = QNetwork(3, 2, (8,), 16)
-    rows = torch.rand(20, 3)
-    torch.testing.assert_close(network.plain()(rows), network(rows))
-    torch.testing.assert_close(network(rows), network.spread(rows).mean(2))
-
-
-def test_a_curriculum_starts_with_few_obstacles():
-    tasks, rng = TrainingArenas((0, 40), curriculum=0.5), np.random.default_rng(0)
-    assert [tasks.fresh(progress).high for progress in (0.0, 0.25, 0.5, 1.0)] == [10, 25, 40, 40]
-    assert tasks.fresh(0.0).fresh().high == 40
-    env = ArenaNavVectorEnv(3, arenas=tasks)
-    for progress, most in ((0.0, 10), (0.9, 40)):
-        env.reset(seed=1, options={"progress": progress})
-        drawn = [task.draw(rng).density for task in env._tasks for _ in range(8)]
-        assert max(drawn) <= most
-    assert max(drawn) > 10
-    with pytest.raises(ValueError, match="curriculum=2"):
-        TrainingArenas(curriculum=2)
-
-
 @pytest.mark.parametrize(
     ("name", "value", "advice"),
     [
         ("gamma", 1.0, "a number between 0 and 1"),
         ("total_timesteps", 0, "1 or more"),
         ("train_freq", 0, "1 or more"),
-        ("quantiles", -1, "0 or more"),
         ("tau", 5.0, "from 0 to 1"),
         ("learning_rate", math.nan, "a finite number above 0"),
         ("exploration_fraction", -1.0, "0 or more"),

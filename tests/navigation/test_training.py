@@ -17,6 +17,7 @@ from eldenet.navigation.sensors import Ranges
 from eldenet.navigation.tasks import TrainingArenas
 from eldenet.results.run_log import RunLog
 from eldenet.simulation.arenas import generate_arena
+from eldenet.system.files import write_json
 
 pytest.importorskip("gymnasium")
 from eldenet.navigation.env import ArenaNavVectorEnv
@@ -91,6 +92,17 @@ def test_a_training_that_lacks_only_its_record_keeps_its_version(tmp_path):
     assert not (tmp_path / training.RECORD).exists()
     train(tmp_path, version=2)
     assert record(tmp_path)["version"] == 1
+
+
+def test_settings_that_are_gone_count_only_where_they_changed_something(tmp_path):
+    train(tmp_path)
+    file = tmp_path / training.PROGRESS
+    note = json.loads(file.read_text())
+    write_json(file, note | {"settings": note["settings"] | {"quantiles": 0}})
+    assert train(tmp_path)["version"] == 1
+    write_json(file, note | {"settings": note["settings"] | {"quantiles": 16}})
+    with pytest.raises(ValueError, match="other settings"):
+        train(tmp_path)
 
 
 def test_a_driver_is_validated_in_what_it_trains_for(tmp_path, monkeypatch):
