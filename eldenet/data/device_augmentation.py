@@ -75,7 +75,7 @@ def color_stages(draws: Sequence[tuple[Any, Mapping[str, Any]]]) -> np.ndarray:
                 (brightness, 0, 0, 0, 0, 0, 0),
                 (contrast, 0, 1 - contrast, 0, 0, 0, 0),
                 (saturation, 1 - saturation, 0, 0, 0, 0, 0),
-                (1, 0, 0, 0, drawn["hue"], 0, 0),
+                UNCHANGED,  # hue
             )
             stages += [jitter[which] for which in drawn["order"]]
         elif name == "HueSaturationValue":

@@ -15,6 +15,13 @@ from eldenet.types import Frame
 IDENTITY = np.eye(2, 3)
 Drawn = tuple[Any, dict[str, Any]]
 
+#: How strongly colors change, in albumentations' units and no more than its defaults: our choice, as are the
+#: probabilities. Brightness and contrast by a fifth; torchvision's jitter of brightness, contrast and
+#: saturation by a fifth, not of hue; hue [2 degrees], saturation and value [255ths] by these amounts.
+BRIGHTNESS_CONTRAST = 0.2
+JITTER = (0.8, 1.2)
+HUE_SATURATION_VALUE = (10.0, 20.0, 10.0)
+
 
 class Change(NamedTuple):
     """What an :class:`Augmentation` drew for a frame; by default nothing."""
@@ -48,19 +55,9 @@ class Augmentation:
         zoom: what a zoom changes, "depth" or "focal".
         shift: largest shift, as a fraction of width and height.
         rotate: largest rotation [deg].
-        brightness_contrast: probability of a change of brightness and contrast by up to ``brightness`` and
-            ``contrast`` (fractions).
-        brightness: see ``brightness_contrast``.
-        contrast: see ``brightness_contrast``.
-        color_jitter: probability of torchvision-like jitter of brightness, contrast, saturation by up to
-            ``jitter`` (fraction) and of hue by up to ``jitter_hue`` (fraction of the circle).
-        jitter: see ``color_jitter``.
-        jitter_hue: see ``color_jitter``.
-        hue_saturation: probability of a change of hue by up to ``hue`` (OpenCV's half degrees), of saturation
-            and value by up to ``saturation`` and ``value`` (of 255).
-        hue: see ``hue_saturation``.
-        saturation: see ``hue_saturation``.
-        value: see ``hue_saturation``.
+        brightness_contrast: probability of another brightness and contrast.
+        color_jitter: probability of torchvision-like jitter of brightness, contrast and saturation.
+        hue_saturation: probability of another hue, saturation and value.
         covered: probability that all of the picture gets one gray, as of a covered lens, a bare wall or the
             dark. Its depth stays, so a network learns how little such a picture tells.
         camera: probability of a picture as of another, worse camera: with other gamma and white balance,
@@ -83,15 +80,8 @@ class Augmentation:
         shift: float = 0.05,
         rotate: float = 5.0,
         brightness_contrast: float = 0.3,
-        brightness: float = 0.2,
-        contrast: float = 0.2,
         color_jitter: float = 0.3,
-        jitter: float = 0.2,
-        jitter_hue: float = 0.0,
         hue_saturation: float = 0.3,
-        hue: float = 10.0,
-        saturation: float = 20.0,
-        value: float = 10.0,
         covered: float = 0.0,
         camera: float = 0.0,
         random_convolution: float = 0.0,
@@ -99,7 +89,6 @@ class Augmentation:
         fractions = {"flip": flip, "affine": affine, "brightness_contrast": brightness_contrast}
         fractions |= {"covered": covered, "camera": camera, "random_convolution": random_convolution}
         fractions |= {"color_jitter": color_jitter, "hue_saturation": hue_saturation, "shift": shift}
-        fractions |= {"brightness": brightness, "contrast": contrast, "jitter": jitter}
         for name, fraction in fractions.items():
             if not 0.0 <= fraction <= 1.0:
                 raise ValueError(f"{name}={fraction}: give a number from 0 to 1")
@@ -138,16 +127,12 @@ class Augmentation:
             )
         if brightness_contrast:
             self.color.append(
-                A.RandomBrightnessContrast(
-                    brightness_limit=brightness, contrast_limit=contrast, p=brightness_contrast
-                )
+                A.RandomBrightnessContrast(BRIGHTNESS_CONTRAST, BRIGHTNESS_CONTRAST, p=brightness_contrast)
             )
         if color_jitter:
-            spread = (1.0 - jitter, 1.0 + jitter)
-            hues = (-jitter_hue, jitter_hue)
-            self.color.append(A.ColorJitter(spread, spread, spread, hue=hues, p=color_jitter))
+            self.color.append(A.ColorJitter(JITTER, JITTER, JITTER, hue=(0, 0), p=color_jitter))
         if hue_saturation:
-            self.color.append(A.HueSaturationValue(hue, saturation, value, p=hue_saturation))
+            self.color.append(A.HueSaturationValue(*HUE_SATURATION_VALUE, p=hue_saturation))
         averaged = {"downscale": cv2.INTER_AREA, "upscale": cv2.INTER_LINEAR}
         self.flaws: list[Any] = [
             A.RandomGamma((60, 165), p=0.7),

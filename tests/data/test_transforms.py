@@ -144,7 +144,7 @@ def test_unknown_stays_unknown() -> None:
 
 def test_color_leaves_depth_alone() -> None:
     frame = ramp_frame()
-    colors = {"brightness_contrast": 1, "color_jitter": 1, "hue_saturation": 1, "jitter_hue": 0.05}
+    colors = {"brightness_contrast": 1, "color_jitter": 1, "hue_saturation": 1}
     for one in ("brightness_contrast", "color_jitter", "hue_saturation", "camera", "random_convolution"):
         moved = Augmentation(**{**OFF, one: 1})(frame, np.random.default_rng(1))
         assert not np.array_equal(moved.image, frame.image), one
@@ -250,7 +250,7 @@ def test_the_number_of_workers_does_not_matter() -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [{"flip": 1.5}, {"affine": -0.1}, {"scale": (1.3, 1.0)}, {"scale": (0, 1)}, {"shift": -1}, {"jitter": 2}],
+    [{"flip": 1.5}, {"affine": -0.1}, {"scale": (1.3, 1.0)}, {"scale": (0, 1)}, {"shift": -1}, {"covered": 2}],
 )
 def test_settings_out_of_range_are_refused(bad: dict) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
