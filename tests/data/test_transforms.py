@@ -250,7 +250,7 @@ def test_the_number_of_workers_does_not_matter() -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [{"flip": 1.5}, {"affine": -0.1}, {"scale": (1.3, 1.0)}, {"scale": (0, 1)}, {"shift": -1}, {"covered": 2}],
+    [{"flip": 1.5}, {"affine": -0.1}, {"scale": (1.3, 1.0)}, {"scale": (0, 1)}, {"shift": -1}, {"camera": 2}],
 )
 def test_settings_out_of_range_are_refused(bad: dict) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
