@@ -227,6 +227,9 @@ def _added(config_name: str, words: Sequence[str], sources: Sequence[str]) -> st
         while "." in name and isinstance(section.get(name.partition(".")[0]), dict):
             first, _, name = name.partition(".")
             section, place = section[first], f"{place}{first}."
+        value = _parsed(word).value()
+        if place and "_target_" not in section and isinstance(value, dict) and "_target_" in value:
+            continue  # one more part, such as a term of the loss
         if name.partition(".")[0] not in section and not _takes(section, place, name.partition(".")[0]):
             known = _flat(config)
             if "_target_" in section:

@@ -156,6 +156,13 @@ def test_settings_that_only_an_added_choice_has_are_known() -> None:
     assert line.startswith("there is no setting data.sources.roms.weight: did you mean")
 
 
+def test_a_plus_adds_a_part_beside_others() -> None:
+    term = "{_target_: eldenet.losses.base.WeightedTerm, loss: {_target_: eldenet.losses.pointwise.L2Loss}}"
+    assert advice("train", [f"+loss.terms.mine={term}"]) == ""
+    assert advice("train", ["+loss.terms.mine.weight=2"]).startswith("there is no setting loss.terms.mine")
+    assert advice("train", [f"+losses={term}"]).startswith("there is no setting losses")
+
+
 def test_a_missing_setting_is_described_as_in_the_help() -> None:
     assert comment_on(settings_of("predict"), "source").startswith("a picture, a folder of pictures")
     assert comment_on(settings_of("train"), "weights").startswith("run, model folder, Hub id or")
