@@ -515,27 +515,21 @@ def check_camera_height(height: float, least: float = 0.05, most: float = 5.0) -
         )
 
 
-def in_meters(depth: "Tensor", focal: "float | Tensor | None", network: object) -> "Tensor":
-    """Return meters of a network's depth ``(B, 1, H, W)``: canonical depth times :func:`lens_factor`.
+def in_meters(depth: "Tensor", focal: "float | Tensor | None", canonical_px: float | None) -> "Tensor":
+    """Return meters of canonical depth ``(B, 1, H, W)``: times ``focal / canonical_px``.
 
     Args:
         focal: fx [px of the network's image], a number or ``(B,)``; 0, NaN and None: the canonical camera's.
-        network: without ``canonical_px`` its depth is in meters already.
+        canonical_px: focal length of the canonical camera [px]; None: ``depth`` is in meters already.
     """
-    if focal is None or getattr(network, "canonical_px", None) is None:
+    if focal is None or canonical_px is None:
         return depth
     import torch
 
-    return depth * lens_factor(torch.as_tensor(focal, device=depth.device), network)
+    return depth * focal_ratio(torch.as_tensor(focal, device=depth.device), canonical_px)
 
 
-def lens_factor(focal: "Tensor", network: Any) -> "Tensor":
-    """Return meters per canonical meter ``(B, 1, 1, 1)`` for ``focal (B,)`` [px]; 1 where it is 0 or NaN.
-
-    This is ``ratio = focal / canonical_px`` (Metric3D, Yin et al. 2023), and for a longer lens
-    ``ratio ** lens_exponent``: a picture shows its lens only in part, so networks read long ones too far.
-    """
-    ratio = focal.float().reshape(-1, 1, 1, 1) / network.canonical_px
-    ratio = ratio.where(ratio > 0, ratio.new_ones(ratio.shape))
-    exponent = getattr(network, "lens_exponent", 1.0)
-    return ratio if exponent == 1 else ratio.minimum(ratio**exponent)
+def focal_ratio(focal: "Tensor", canonical_px: float) -> "Tensor":
+    """Return meters per canonical meter ``(B, 1, 1, 1)`` for ``focal (B,)`` [px]; 1 where it is 0 or NaN."""
+    ratio = focal.float().reshape(-1, 1, 1, 1) / canonical_px
+    return ratio.where(ratio > 0, ratio.new_ones(ratio.shape))

@@ -61,9 +61,8 @@ class DepthNet(Configurable, nn.Module):
     """A depth network: camera images in, meters out.
 
     With ``canonical_focal`` the network predicts depth as if a camera of that focal length had taken the
-    image (Metric3D, Yin et al. 2023, section 3.2), and meters = canonical depth x
-    :func:`~eldenet.geometry.lens_factor`. Its meters are then right for any lens; without it, only for the
-    lens of the training.
+    image (Metric3D, Yin et al. 2023, section 3.2), and meters = canonical depth x focal / canonical focal.
+    Its meters are then right for any lens; without it, only for the lens of the training.
 
     Args:
         network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size. Where the head
@@ -74,8 +73,6 @@ class DepthNet(Configurable, nn.Module):
         canonical_focal: focal length of the canonical camera, in widths of the training's images; None: the
             network ignores focal lengths.
         canonical_width: width of the training's images [px]; given together with ``canonical_focal``.
-        lens_exponent: of lenses longer than the canonical one; 1: meters grow as the focal length does. Found
-            after the training, as by ``experiments/lens/exponent.py``.
         mean: mean per channel of RGB in [0, 1], for the normalization.
         std: standard deviation per channel.
 
@@ -86,8 +83,7 @@ class DepthNet(Configurable, nn.Module):
         canonical_px: focal length of the canonical camera [px]; None without ``canonical_focal``.
 
     Raises:
-        ValueError: ``canonical_focal`` or ``canonical_width`` is not above 0, or only one of them is given;
-            or ``lens_exponent`` is not above 0 and at most 1.
+        ValueError: ``canonical_focal`` or ``canonical_width`` is not above 0, or only one of them is given.
     """
 
     mean: Tensor
@@ -103,13 +99,9 @@ class DepthNet(Configurable, nn.Module):
         std: Sequence[float] = IMAGENET_STD,
         canonical_focal: float | None = None,
         canonical_width: int | None = None,
-        lens_exponent: float = 1.0,
     ) -> None:
         super().__init__()
         self.canonical_px = _canonical_px(canonical_focal, canonical_width)
-        if not 0 < lens_exponent <= 1:
-            raise ValueError(f"lens_exponent={lens_exponent}: give a number above 0, at most 1")
-        self.lens_exponent = float(lens_exponent)
         if head.channels > 1:
             add_channels(network, head.channels - 1)
         self.network, self.head, self.refine = network, head, refine
@@ -160,7 +152,7 @@ class DepthNet(Configurable, nn.Module):
         depth = self.head.to_meters(raw)
         if self.refine is not None:
             depth = self.refine(depth, image)
-        depth = in_meters(depth, focal, self)
+        depth = in_meters(depth, focal, self.canonical_px)
         return (depth, self.head.to_spread(raw)) if with_spread else depth
 
     def predict(self, image: Tensor, focal: float | Tensor | None = None) -> DepthEstimate:

@@ -17,9 +17,6 @@ import eldenet
 from eldenet.compose import FOCAL_RANGE, compose, config_folder
 from eldenet.configurable import instantiate
 from eldenet.data.mix import Mix
-from eldenet.deploy.metadata import describe
-from eldenet.deploy.onnx_export import write_onnx
-from eldenet.deploy.runtimes import load
 from eldenet.evaluation.evaluator import evaluate, predict_depth
 from eldenet.evaluation.splits import chosen_protocol
 from eldenet.losses.base import WeightedSum, WeightedTerm
@@ -74,26 +71,6 @@ def test_a_saved_model_keeps_its_camera(tmp_path: Path) -> None:
     assert again.canonical_px == model.canonical_px
     with torch.inference_mode():
         torch.testing.assert_close(again(image, focal=20.0), model(image, focal=20.0))
-
-
-def test_longer_lenses_take_a_power_of_the_ratio_everywhere(tmp_path: Path) -> None:
-    saved = canonical_net(lens_exponent=0.8).save_pretrained(tmp_path / "model")
-    model, image = eldenet.load(saved), picture(*SIZE)
-    frame = np.ascontiguousarray((image[0].permute(1, 2, 0) * 255).round().to(torch.uint8).numpy())
-    path = write_onnx(model, tmp_path / "net.onnx", SIZE, metadata=describe(model, "net", SIZE))
-    predictors = [eldenet.DepthPredictor(each, SIZE, steady=False) for each in (model, load(path))]
-    for focal, factor in ((16.0, 0.5), (32.0, 1.0), (64.0, 2**0.8)):
-        with torch.inference_mode():
-            expected = model(image) * factor
-            torch.testing.assert_close(model(image, focal=focal), expected)
-        torch.testing.assert_close(predict_depth(model, image, torch.tensor([focal])), expected)
-        for predictor in predictors:
-            found = predictor(frame, focal=focal)
-            np.testing.assert_allclose(found, factor * predictor(frame), rtol=1e-5)
-    assert eldenet.load(saved).lens_exponent == 0.8
-    for wrong in (0, 1.1, math.nan):
-        with pytest.raises(ValueError, match=r"lens_exponent=.*: give a number above 0, at most 1"):
-            canonical_net(lens_exponent=wrong)
 
 
 @pytest.mark.parametrize("name", eldenet.list_weights())
@@ -230,21 +207,17 @@ class Watched(WeightedTerm):
         return super().forward(inputs)
 
 
-@pytest.mark.parametrize(("exponent", "long"), [(1.0, 2.0), (0.8, 2**0.8)])
-def test_the_loss_compares_depth_of_the_camera_that_it_is_told(
-    tmp_path: Path, exponent: float, long: float
-) -> None:
+def test_the_loss_compares_depth_of_the_camera_that_it_is_told(tmp_path: Path) -> None:
     seen = {}
     for camera in ("canonical", "own"):
         seed_everything(0)
         term, trainer = Watched(L1Loss()), make_trainer(epochs=1, batch_size=4, loss_camera=camera)
         data = TrainingData(Lenses(4), Lenses(2), PROTOCOL)
-        model = canonical_net(lens_exponent=exponent).train()
-        trainer.fit(model, WeightedSum({"l1": term}), data, tmp_path / camera, ONE_THREAD)
+        trainer.fit(canonical_net().train(), WeightedSum({"l1": term}), data, tmp_path / camera, ONE_THREAD)
         seen[camera] = term.seen
     prediction, target, focal = seen["own"]
     assert sorted(focal.tolist()) == [16, 16, 64, 64]
-    ratio = torch.where(focal == 64, long, 0.5).view(4, 1, 1, 1)
+    ratio = (focal / 32).view(4, 1, 1, 1)
     torch.testing.assert_close(seen["canonical"][0] * ratio, prediction)
     torch.testing.assert_close(seen["canonical"][1] * ratio, target)
     assert seen["canonical"][2].tolist() == [32.0] * 4

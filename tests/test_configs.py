@@ -60,14 +60,7 @@ HIDDEN: dict[str, set[str]] = {
         "options",  # normalization, ImageNet's by default; the canonical camera, from canonical_focal
     },
     # the same, for whole networks
-    "eldenet.model.DepthNet": {
-        "refine",
-        "mean",
-        "std",
-        "canonical_focal",
-        "canonical_width",
-        "lens_exponent",
-    },
+    "eldenet.model.DepthNet": {"refine", "mean", "std", "canonical_focal", "canonical_width"},
     "eldenet.perception.lifter.BoxLifter": {"priors"},  # a table of class sizes, given from Python
     "eldenet.data.rooms.Rooms": RENDERED,
     "eldenet.data.arenas.Arenas": RENDERED | {"focal"} | OF_ROOMS,  # one lens

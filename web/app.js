@@ -1,6 +1,6 @@
 // The page: sources of frames, the two pictures, the scale, and the meters under the cursor.
 
-import { canonicalFocal, lensFactor, valueAt } from "./depth.js";
+import { canonicalFocal, valueAt } from "./depth.js";
 import { colorOf, paint, ticks, visibleRange } from "./colors.js";
 
 const MOST_PIXELS = 16e6; // of a photo: phones give up beyond
@@ -38,7 +38,7 @@ function focal() {
 const canonical = () => canonicalFocal(state.network, state.frame.width, state.map.width);
 
 // Depth of the canonical camera times this is meters.
-const factor = () => lensFactor(state.network, focal(), canonical());
+const factor = () => (state.network.canonical_px === null ? 1 : focal() / canonical());
 
 // Depth [m] at a pixel of the frame.
 export function metersAt(x, y) {

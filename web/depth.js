@@ -153,9 +153,3 @@ export function valueAt(map, size, x, y) {
 export function canonicalFocal(network, frameWidth, boxWidth) {
   return network.canonical_px === null ? null : (network.canonical_px * frameWidth) / boxWidth;
 }
-
-// Meters per unit of the network's depth, for two focal lengths [px of the frame]: that of the lens and canonicalFocal's.
-export function lensFactor(network, focal, canonical) {
-  const ratio = canonical === null ? 1 : focal / canonical;
-  return Math.min(ratio, ratio ** network.lens_exponent);
-}

@@ -55,8 +55,8 @@ def describe(
         "eldenet_version": __version__,
         "model": name,
         "output": (
-            f"canonical depth (B, 1, H, W); meters = depth x ratio, ratio = fx [px of {seen}] / "
-            "(canonical_focal x canonical_width); above 1: depth x ratio ^ lens_exponent"
+            f"canonical depth (B, 1, H, W); meters = depth x fx [px of {seen}] / "
+            "(canonical_focal x canonical_width)"
             if canonical
             else "depth (B, 1, H, W) in meters"
         ),
@@ -82,9 +82,8 @@ def describe(
 
 
 def canonical_camera(model: "DepthNet") -> dict[str, str]:
-    """Return ``canonical_focal`` [widths], ``canonical_width`` [px] and ``lens_exponent`` as metadata."""
-    names = ("canonical_focal", "canonical_width", "lens_exponent")
-    return {name: json.dumps(model.config[name]) for name in names}
+    """Return ``canonical_focal`` [widths] and ``canonical_width`` [px] as metadata; "null" without."""
+    return {name: json.dumps(model.config[name]) for name in ("canonical_focal", "canonical_width")}
 
 
 def read_metadata(path: str | Path) -> dict[str, str]:

@@ -194,8 +194,7 @@ class DepthPredictor:
             depth = self._filter_of((size, focal))(picture, depth)
         if focal is not None:
             if self.canonical_px is not None:
-                ratio = focal * scale / self.canonical_px
-                depth = depth * np.float32(min(ratio, ratio**self.model.lens_exponent))
+                depth = depth * np.float32(focal * scale / self.canonical_px)
             elif not self._said:
                 self._said = True
                 logging.getLogger("eldenet").warning(NO_FOCAL)

@@ -47,7 +47,7 @@ def predict_depth(
     prediction = model(image)
     if flip == "mean":
         prediction = 0.5 * (prediction + model(image.flip(-1)).flip(-1))
-    return in_meters(prediction, focal, model)
+    return in_meters(prediction, focal, getattr(model, "canonical_px", None))
 
 
 @torch.inference_mode()
@@ -59,7 +59,7 @@ def predict_spread(
     if flip == "mean":
         mirrored = [each.flip(-1) for each in model(image.flip(-1), with_spread=True)]
         depth, spread = 0.5 * (depth + mirrored[0]), 0.5 * (spread + mirrored[1])
-    return in_meters(depth, focal, model), spread
+    return in_meters(depth, focal, getattr(model, "canonical_px", None)), spread
 
 
 def evaluate(

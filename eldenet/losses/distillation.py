@@ -59,7 +59,7 @@ class Teacher:
             focal = None if focal is None else focal * (self.input_size[1] / size[1])
         with self.autocast():
             depth = self.network(image).float()
-        depth = in_meters(depth, focal, self.network)
+        depth = in_meters(depth, focal, getattr(self.network, "canonical_px", None))
         if depth.shape[-2:] != size:
             depth = F.interpolate(depth, size=size, mode="bilinear", align_corners=False)
         return depth

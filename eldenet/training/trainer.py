@@ -19,7 +19,7 @@ from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.evaluator import evaluate_batches, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.geometry import in_meters, lens_factor
+from eldenet.geometry import focal_ratio, in_meters
 from eldenet.losses.base import LossInputs, WeightedSum, masked_mean
 from eldenet.model import DepthNet
 from eldenet.results.loggers import LOGGERS
@@ -291,13 +291,13 @@ class Trainer:
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss, a scalar, and ``mse`` [m²] and the loss's terms by name."""
         depth, focal = batch["depth"], batch["intrinsics"][:, 0, 0]
-        network = self.bare_model
-        mse = squared_error(in_meters(prediction.detach(), focal, network), batch)
-        if network.canonical_px is not None and self.loss_camera == "canonical":
-            depth = depth / lens_factor(focal, network)
-            focal = torch.full_like(focal, network.canonical_px)
+        canonical_px = self.bare_model.canonical_px
+        mse = squared_error(in_meters(prediction.detach(), focal, canonical_px), batch)
+        if canonical_px is not None and self.loss_camera == "canonical":
+            depth = depth / focal_ratio(focal, canonical_px)
+            focal = torch.full_like(focal, canonical_px)
         else:
-            prediction = in_meters(prediction, focal, network)
+            prediction = in_meters(prediction, focal, canonical_px)
         relative = batch.get("relative")
         total, terms = self._criterion(
             LossInputs(prediction, depth, batch["mask"], batch["image"], focal, relative, spread)

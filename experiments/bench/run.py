@@ -2,6 +2,7 @@
 
 python experiments/bench/run.py eldenet_indoor
 python experiments/bench/run.py int8=exports/indoor-int8.onnx --runtime onnxruntime --places nyu
+python experiments/bench/run.py indoor_exponent=eldenet_indoor --lens-exponent 0.85
 python experiments/bench/run.py          the table of what is stored
 
 A shape or a longer lens is a part of the frame, with the focal length of the frame. Its depth is scored on
@@ -112,7 +113,13 @@ def figures(
     ]
 
 
-def score(name: str, predictor: DepthPredictor, place: str) -> Iterator[list[object]]:
+def focal_for(predictor: DepthPredictor, focal: float, size: Sequence[int], exponent: float) -> float:
+    """Fx [px] that gives canonical depth times a power of the ratio of focal lengths, if that is above 1."""
+    ratio = focal * predictor.size_for(size[0], size[1])[1] / size[1] / predictor.canonical_px
+    return focal * min(1.0, ratio ** (exponent - 1))
+
+
+def score(name: str, predictor: DepthPredictor, place: str, exponent: float) -> Iterator[list[object]]:
     """Rows of a network's views of a place; one that knows no focal lengths is given none."""
     protocol, frames = split_frames(*SPLITS[place]) if place in SPLITS else camera_frames(place)
     runtime = getattr(predictor.model, "runtime", "torch")
@@ -125,13 +132,14 @@ def score(name: str, predictor: DepthPredictor, place: str) -> Iterator[list[obj
             if known[box].sum() < ENOUGH:
                 continue
             part = crop_intrinsics(intrinsics, box[0].start, box[1].start)
-            camera = part if predictor.canonical_px else None
-            found = eldenet.uncertainty.as_estimate(
-                predictor(np.ascontiguousarray(image[box]), intrinsics=camera)
-            )
+            picture = np.ascontiguousarray(image[box])
+            focal = None
+            if predictor.canonical_px:
+                focal = focal_for(predictor, part[0, 0], picture.shape, exponent)
+            found = eldenet.uncertainty.as_estimate(predictor(picture, focal=focal))
             whole = found.depth if whole is None else whole
             values = [
-                f"{value:.5g}" for value in figures(found, depth[box], whole[box], known[box], protocol)
+                f"{value:.4g}" for value in figures(found, depth[box], whole[box], known[box], protocol)
             ]
             if view != "whole":
                 values[len(OF_VIEWS) :] = [""] * (len(FIGURES) - len(OF_VIEWS))
@@ -216,6 +224,7 @@ def main() -> None:
         "--places", nargs="*", choices=PLACES, default=[name for name in PLACES if name != "nyu_dev"]
     )
     options.add_argument("--runtime", default="auto", help="of an exported file")
+    options.add_argument("--lens-exponent", type=float, default=1.0, help="of experiments/lens/exponent.py")
     args = options.parse_args()
     torch.set_num_threads(1)
     stored = [dict(row) for row in read_table(STORED, COLUMNS)] if STORED.exists() else []
@@ -225,7 +234,7 @@ def main() -> None:
         for place in args.places:
             rows = [
                 dict(zip(COLUMNS, map(str, row), strict=True))
-                for row in score(name or source, predictor, place)
+                for row in score(name or source, predictor, place, args.lens_exponent)
             ]
             new = {(row["weights"], row["runtime"], row["place"]) for row in rows}
             stored = [

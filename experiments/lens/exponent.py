@@ -39,7 +39,14 @@ ROOMS = [
     "data.focal=[0.4,2.0]",
 ]
 LONG = 1.5  # canonical focal lengths
-COLUMNS = ("weights", "exponent", *(f"dev_{crop:g}x" for crop in CROPS), "rooms_to_1.5x", "rooms_from_1.5x")
+COLUMNS = (
+    "weights",
+    "exponent",
+    *(f"dev_{crop:g}x" for crop in CROPS),
+    "rooms_to_1.5x",
+    "rooms_from_1.5x",
+    "mean",
+)
 
 
 def crops() -> Iterator[tuple[str, Frame]]:
@@ -75,6 +82,7 @@ def delta1_of(network: eldenet.DepthNet) -> list[list[float]]:
         shares = [np.mean(np.abs(np.log(depth * factor)) < math.log(1.25)) for factor in factors]
         found.setdefault(column, []).append([float(share) for share in shares])
     means = {column: np.mean(shares, axis=0) for column, shares in found.items()}
+    means["mean"] = np.mean([means[column] for column in COLUMNS[3:-1]], axis=0)  # of what is longer
     return [[exponent, *(means[column][i] for column in COLUMNS[2:])] for i, exponent in enumerate(EXPONENTS)]
 
 

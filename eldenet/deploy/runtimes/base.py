@@ -21,9 +21,8 @@ PRECISIONS = ("fp32", "bf16", "fp16", "int8")
 class Runtime:
     """A network ready to run: ``(B, 3, H, W)`` float RGB in [0, 1] -> ``(B, 1, H, W)`` [m].
 
-    If it has ``canonical_px``, the output is canonical depth, and meters = output x ``ratio`` = fx /
-    ``canonical_px``, with fx in pixels of the image that the network sees; for a longer lens, output x
-    ``ratio ** lens_exponent``. One with a ``distribution`` also predicts its sigma,
+    If it has ``canonical_px``, the output is canonical depth, and meters = output x fx / ``canonical_px``,
+    with fx in pixels of the image that the network sees. One with a ``distribution`` also predicts its sigma,
     see :meth:`predict`.
 
     A file exported with ``camera=[h,w]`` takes the camera's frames, ``(B, H, W, 3)`` uint8 RGB, instead.
@@ -46,7 +45,6 @@ class Runtime:
             crop.
         canonical_px: focal length of the canonical camera [px]; None: the output is in meters of the
             training's lens.
-        lens_exponent: of longer lenses, see above.
         max_depth: largest depth that the network can predict [m]; None: not stated.
         distribution: of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma.
         params: number of weights, or None.
@@ -79,7 +77,6 @@ class Runtime:
             )
             focal, width = map(self._number, ("canonical_focal", "canonical_width"))
             self.canonical_px = None if focal is None or width is None else focal * width
-            self.lens_exponent = self._number("lens_exponent") or 1.0
             self.max_depth, self.params, self.gmacs, stretch = map(
                 self._number, ("max_depth", "params", "gmacs", "stretch")
             )

@@ -24,8 +24,8 @@ class RuntimeNetwork(nn.Module):
         if network.takes_frames:
             raise ValueError("this file takes camera frames: to score the network, export it without camera=")
         self.network = network
-        self.info, self.distribution = network.info, network.distribution
-        self.canonical_px, self.lens_exponent = network.canonical_px, network.lens_exponent
+        self.info, self.canonical_px = network.info, network.canonical_px
+        self.distribution = network.distribution
 
     def forward(self, image: Tensor, *, with_spread: bool = False) -> Any:
         """Depth [m] on the image's device; ``with_spread``: and the standard deviation of ln depth."""
