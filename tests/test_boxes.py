@@ -194,6 +194,11 @@ def test_overlap_of_equal_turned_and_distant_boxes():
     assert (bev[0, 0], iou[0, 0]) == (pytest.approx(1), 0)
 
 
+def test_a_box_without_size_overlaps_nothing():
+    footprint, point = np.array([[0.0, 0.0, 2.0, 2.0, 0.3]]), np.array([[0.1, 0.1, 0.0, 0.0, 0.0]])
+    assert rotated_intersections(footprint, point) == rotated_intersections(point, footprint) == 0
+
+
 def test_2d_iou_equals_torchvision():
     import torch
     from torchvision.ops import box_iou

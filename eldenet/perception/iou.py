@@ -55,7 +55,8 @@ def rotated_intersections(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     corners = [footprints(bev) for bev in (first, second)]
     for row, column in zip(*np.nonzero(apart < reach[0][:, None] + reach[1][None]), strict=True):
         areas[row, column] = intersection_area(corners[0][row], corners[1][column])
-    return areas
+    plans = [bev[:, 2] * bev[:, 3] for bev in (first, second)]
+    return np.minimum(areas, np.minimum(plans[0][:, None], plans[1][None]))  # of a box without size too
 
 
 def box_ious(first: Boxes3D, second: Boxes3D) -> tuple[np.ndarray, np.ndarray]:
