@@ -1,10 +1,10 @@
-"""Find the power of the ratio of focal lengths that suits a network for long lenses (``lens_exponent``).
+"""What if meters grew with a power of the focal length, for lenses longer than the canonical one?
 
 python experiments/lens/exponent.py eldenet_indoor
 python experiments/lens/exponent.py indoor=runs/indoor
 
-Depth of crops of NYU's ``dev``, and of rendered rooms through longer lenses than the canonical one, with each
-exponent. Stores delta1 in ``exponents.csv``. ``experiments/indoor/average.py`` gives a network its exponent.
+Depth of crops of NYU's ``dev``, and of rendered rooms through longer lenses, with each exponent. Stores
+delta1 in ``exponents.csv``; ``experiments/bench/run.py`` takes one as ``--lens-exponent``.
 """
 
 import math
