@@ -228,8 +228,8 @@ def _added(config_name: str, words: Sequence[str], sources: Sequence[str]) -> st
             first, _, name = name.partition(".")
             section, place = section[first], f"{place}{first}."
         value = _parsed(word).value()
-        if place and "_target_" not in section and isinstance(value, dict) and "_target_" in value:
-            continue  # one more part, such as a term of the loss
+        if place and _is_part(value) and all(map(_is_part, section.values())):
+            continue  # one more of several parts, such as a term of the loss
         if name.partition(".")[0] not in section and not _takes(section, place, name.partition(".")[0]):
             known = _flat(config)
             if "_target_" in section:
@@ -245,12 +245,17 @@ def _takes(section: Mapping[str, Any], place: str, name: str) -> bool:
         return name[:1] == "_" or not arguments or name in arguments
     if not place:
         return False  # of the command's own settings
-    if not any(isinstance(part, dict) and "_target_" in part for part in section.values()):
+    if not any(map(_is_part, section.values())):
         return True  # a mapping of anything, such as given of a study
     texts = [file.read_text() for file in (config_folder() / place.partition(".")[0]).rglob("*.yaml")]
     entry = re.compile(rf"^{re.escape(name)}:", re.MULTILINE)
     # what a file itself hands on, as rooms.yaml does data.plain, is nothing to the others
     return any(entry.search(text) and f"${{{place}{name}}}" not in text for text in texts)
+
+
+def _is_part(value: Any) -> bool:
+    """Return whether a value describes a part to build."""
+    return isinstance(value, dict) and "_target_" in value
 
 
 def _arguments(target: str) -> list[str]:

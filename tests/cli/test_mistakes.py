@@ -160,7 +160,8 @@ def test_a_plus_adds_a_part_beside_others() -> None:
     term = "{_target_: eldenet.losses.base.WeightedTerm, loss: {_target_: eldenet.losses.pointwise.L2Loss}}"
     assert advice("train", [f"+loss.terms.mine={term}"]) == ""
     assert advice("train", ["+loss.terms.mine.weight=2"]).startswith("there is no setting loss.terms.mine")
-    assert advice("train", [f"+losses={term}"]).startswith("there is no setting losses")
+    for nowhere in ("losses", "data.mine", "trainer.mine"):
+        assert advice("train", [f"+{nowhere}={term}"]).startswith(f"there is no setting {nowhere}")
 
 
 def test_a_missing_setting_is_described_as_in_the_help() -> None:
