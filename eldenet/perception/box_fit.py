@@ -23,6 +23,7 @@ _TAIL = 3.0  # residuals of edges and priors beyond this lose their pull [sigma]
 _MAX_STEP = np.array([3.0, 5.0, 0.5, 0.3, 0.2, 0.2, 0.2, 0.2])  # of each unknown
 _MAX_DEPTH_INSIDE = -2.0  # [m]: points deeper inside a box count as if they were here
 _MIN_Z = 0.3  # [m]: silhouette points nearer to the image plane are left out
+_BEHIND = 1e3  # residual of the edges of a box wholly behind the camera, which sees no such thing [sigma]
 
 
 @dataclass(frozen=True)
@@ -240,8 +241,9 @@ def _edge_residuals(
     residual = (value - problem.xyxy) / problem.edge_sigma
     # an edge that is cut or hidden is a bound: the object reaches at least this far
     active = problem.trusted | ((problem.xyxy - value) * out > 0)
-    active &= np.any(visible, axis=1, keepdims=True)
-    residual = np.where(active, residual, 0.0)
+    ahead = np.any(visible, axis=1, keepdims=True)
+    active &= ahead
+    residual = np.where(ahead, np.where(active, residual, 0.0), _BEHIND)
     point, far = seen[rows, at], depth[rows, at]
     focal = np.array([matrix[0, 0], matrix[1, 1]])[axis]
     # d pixel / d camera point, then into the level frame

@@ -182,6 +182,17 @@ def test_boxes_without_known_depth_come_from_class_sizes(method):
     assert boxes.quality["fallback"][0] == (method != "no_depth")
 
 
+@pytest.mark.parametrize("xyxy", [(452, 86, 639, 479), (309, 100, 639, 479), (0, 129, 222, 479)])
+@pytest.mark.parametrize("method", ["refine", "no_depth"])
+def test_what_is_close_and_cut_by_the_border_is_not_put_behind_the_camera(method, xyxy):
+    """A cyclist 1.5 m away: three of the four edges of such a box are bounds only."""
+    camera = PinholeCamera(pinhole(500.0, 500.0, 319.5, 239.5))
+    found = detection(np.array([xyxy], float), "cyclist", "tight")
+    with pytest.warns(UserWarning, match="no pixel of the depth is known"):
+        boxes = BoxLifter(method, camera_height=1.5)(np.zeros((480, 640)), found, camera)
+    assert 0.5 < boxes.center[0, 2] < 3.0
+
+
 def test_a_box_whose_distance_nothing_tells_is_doubtful():
     depth, xyxy = block((-2.0, 0.85, 12.0))
     boxes = [
