@@ -78,7 +78,7 @@ def _check(ranges: np.ndarray, angles: np.ndarray, ahead: float) -> None:
     if wrong := np.count_nonzero(~np.isfinite(angles)):
         raise ValueError(f"{wrong} of a scan's {angles.size} angles are not finite: give radians")
     low, high = float(angles.min()), float(angles.max())
-    if max(high - low, abs(low), abs(high)) > math.tau + 0.01:
+    if high - low > math.tau + 0.01:  # wherever they begin
         raise ValueError(
             f"a scan's angles go from {low:g} to {high:g}, more than a turn: degrees? Give radians, "
             "counter-clockwise from straight ahead (np.radians)"

@@ -8,6 +8,8 @@ from eldenet_ros.scan import read_scan, scan_depth
 from support.ros import BUILDER, header, through_cdr
 
 from eldenet.geometry import back_project, pinhole
+from eldenet.navigation.lidar import scan_to_ranges
+from eldenet.simulation.robot import ALL_ROUND
 
 OPTIONS = {"camera_height": 0.4, "heights": (0.15, 0.6), "near": 0.3, "far": 10.0}
 
@@ -75,3 +77,14 @@ def test_a_lidar_s_scan_is_read_with_its_limits_and_its_place() -> None:
         message.range_min, message.range_max = low, high
         with pytest.raises(ValueError, match="its publisher must send meters"):
             read_scan(message, ahead=0.1, yaw=0.0)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.05, -2.0, math.pi])
+def test_a_lidar_that_counts_a_whole_turn_from_0_may_be_mounted_turned(yaw) -> None:
+    message = through_cdr(BUILDER.laser_scan(header(), np.full(360, 5.0), math.pi, 0.1, 12.0, 0.2))
+    message.angle_min, message.angle_max = 0.0, 2 * math.pi
+    angles = np.arange(360) * message.angle_increment + yaw
+    message.ranges = np.where(np.cos(angles - 0.3) > 0.99, 2.0, 5.0).astype(np.float32)  # to the left
+    ranges = scan_to_ranges(read_scan(message, ahead=0.2, yaw=yaw))
+    seen = np.array(ALL_ROUND.column_angles)[ranges < 3.0]
+    assert seen.mean() == pytest.approx(0.3, abs=0.02)
