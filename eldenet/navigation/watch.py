@@ -258,7 +258,10 @@ class Watch:
             return f"{self._way:.0f} m driven without coming nearer to the goal: unreachable, or a dead end"
         places = np.array(self._places)
         if len(places) == self._places.maxlen and np.ptp(places, axis=0).max() < STUCK_WAY:
-            return f"the robot has not left its place for {STUCK_TIME:g} s: nothing is free ahead"
+            return (
+                f"the robot has not left its place for {STUCK_TIME:g} s: nothing is free ahead; another "
+                "goal, or reset() once that is over"
+            )
         return None
 
 

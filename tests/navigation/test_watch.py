@@ -360,7 +360,12 @@ def test_a_robot_that_cannot_leave_its_place_says_so():
     driver = Navigator.load()
     for number in range(151):
         driver.step(FREE + 0.001 * number, GOAL, (0.0, 0.0, 0.01 * (number % 2)))
-    assert driver.stop_reason == "the robot has not left its place for 30 s: nothing is free ahead"
+    assert driver.stop_reason == (
+        "the robot has not left its place for 30 s: nothing is free ahead; another goal, or reset() once "
+        "that is over"
+    )
+    driver.reset()
+    assert driver.step(FREE, GOAL, (0.0, 0.0, 0.0))[0] > 0
 
 
 def test_without_a_watch_it_drives_on():
