@@ -85,7 +85,7 @@ class KITTIDepth(KITTIFrames):
         folder = find_root(root, "kitti/depth", [], DEPTH_TREE)
         beside = [folder, folder.parent / "raw", folder.parent]
         if raw_root is not None:
-            beside = [find_root(raw_root, None, [], RAW_TREE)]
+            beside = [find_root(raw_root, None, [], RAW_TREE, "data.raw_root")]
         parts = {"test": ("val",), "all": ("train", "val", "")}.get(split, ("train", ""))
         chosen = _both(cameras)
         if list_file is not None:  # a list decides on parts and cameras
@@ -192,13 +192,13 @@ class KITTISelection(KITTIFrames):
     ) -> None:
         one_of("depth", depth, DEPTH_KINDS)
         one_of("calibration", calibration, ("required", "optional"))
-        folder = find_root(root, "kitti/depth_selection", [], SELECTION_TREE)
+        folder = find_root(root, "kitti/depth_selection", [], SELECTION_TREE, "data.selection_root")
         if (folder / "val_selection_cropped").is_dir():
             folder = folder / "val_selection_cropped"
         word = "groundtruth_depth" if depth == "groundtruth" else depth
         pictures, maps = selected(folder / "image", "image"), selected(folder / word, word)
         if not (pictures or maps):
-            raise incomplete(f"{folder} has no frames", SELECTION_TREE)
+            raise incomplete(f"{folder} has no frames", SELECTION_TREE, "check data.selection_root")
         self.ground_truth = _GROUND_TRUTH[depth]
         places = sorted({*pictures, *maps})
         cameras = {place: folder / "intrinsics" / f"{path.stem}.txt" for place, path in pictures.items()}

@@ -178,8 +178,10 @@ class NYUSync(_NYUPairs):
         **options: Unpack[SampleOptions],
     ) -> None:
         one_of("split", split, ("train", "val", "all", "test"))
-        usual = "nyu_depth_v2/official_splits/test" if split == "test" else "nyu_depth_v2/sync"
-        folder = find_root(root, usual, [], SYNC_TREE)
+        usual, setting = "nyu_depth_v2/sync", "data.root"
+        if split == "test":
+            usual, setting = "nyu_depth_v2/official_splits/test", "data.test_root"
+        folder = find_root(root, usual, [], SYNC_TREE, setting)
         pairs = _sync_pairs(folder) if list_file is None else _list_pairs(Path(list_file))
         super().__init__(folder, pairs, split, encoding, **options)
 

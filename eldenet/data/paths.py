@@ -93,7 +93,13 @@ def as_on_disk(root: Path, file: str) -> str:
     return place.as_posix()
 
 
-def find_root(root: str | Path | None, default: str | None, must_contain: Sequence[str], tree: str) -> Path:
+def find_root(
+    root: str | Path | None,
+    default: str | None,
+    must_contain: Sequence[str],
+    tree: str,
+    setting: str = "data.root",
+) -> Path:
     """Find the folder of a data set.
 
     Args:
@@ -101,11 +107,12 @@ def find_root(root: str | Path | None, default: str | None, must_contain: Sequen
         default: the data set's folder below ELDENET_DATA; None if there is no usual one.
         must_contain: files and folders that it must contain, relative to it.
         tree: the expected tree, for the message.
+        setting: that gives the folder, for the message.
 
     Raises:
         FileNotFoundError: the folder or what it must contain is missing; says what to set.
     """
-    advice = "set data.root to the data set's folder"
+    advice = f"set {setting} to the data set's folder"
     if default is not None:
         advice += f", or {VARIABLE} so that ${VARIABLE}/{default} is that folder"
     if root is None:
@@ -118,7 +125,7 @@ def find_root(root: str | Path | None, default: str | None, must_contain: Sequen
         raise incomplete(f"{folder} is not a folder", tree, advice)
     missing = [entry for entry in must_contain if not (folder / entry).exists()]
     if missing:
-        raise incomplete(f"{folder} has no {', '.join(missing)}", tree)
+        raise incomplete(f"{folder} has no {', '.join(missing)}", tree, f"check {setting}")
     return folder
 
 

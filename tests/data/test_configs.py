@@ -111,6 +111,25 @@ def test_every_frame_has_a_camera_in_every_split(given: list[str]) -> None:
         assert 0 < cy / height < 1  # KITTI's crop is of the lower part
 
 
+@pytest.mark.parametrize(
+    ("data", "setting"),
+    [("nyu_sync", "test_root"), ("kitti", "raw_root"), ("kitti_selection", "selection_root")],
+)
+def test_the_error_names_the_setting_of_the_folder_that_is_missing(
+    data: str, setting: str, tmp_path: Path, monkeypatch
+) -> None:
+    """``data.root`` is given and right."""
+    monkeypatch.delenv("ELDENET_DATA", raising=False)
+    words = [f"data={data}", *TREES[data](tmp_path)]
+    for given in ([], [f"data.{setting}={tmp_path}/nowhere"]):
+        kept = [word for word in words if not word.startswith(f"data.{setting}=")]
+        if not given and len(kept) == len(words):
+            continue  # the setting has a default that is there
+        config = compose(TrainSettings, [*kept, *given])
+        with pytest.raises(FileNotFoundError, match=rf": set data\.{setting} to the data set's folder"):
+            open_split(config.data, "test", chosen_protocol(config.data, config.protocol))
+
+
 def test_a_missing_root_says_what_to_do(given: list[str], tmp_path: Path, monkeypatch) -> None:
     given = [word for word in given if not re.match(r"data\.(root|selection_root|test_root)=", word)]
     monkeypatch.delenv("ELDENET_DATA", raising=False)
