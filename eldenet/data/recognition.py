@@ -240,7 +240,8 @@ def _is_camera(path: Path) -> bool:
 def _pairs(folder: Path, series: Sequence[_Series]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Series of pictures and of depth maps that fit together, with the settings that pair them."""
     ways = {}
-    for pictures, maps in product(_of("picture", series), _of("depth", series)):
+    colored_first = sorted(_of("picture", series), key=lambda one: _is_gray(folder / one.first))
+    for pictures, maps in product(colored_first, _of("depth", series)):
         ones, others = _keys(folder, pictures), _keys(folder, maps)
         found = other_ways(ones, others, TOLERANCE)
         least = min(len(ones), len(others)) / 2
@@ -260,6 +261,15 @@ def _pairs(folder: Path, series: Sequence[_Series]) -> Iterator[tuple[str, dict[
 
 def _of(kind: str, series: Sequence[_Series]) -> list[_Series]:
     return [one for one in series if one.kind == kind]
+
+
+def _is_gray(path: Path) -> bool:
+    """Whether a picture has no color, as a mask; False if it cannot be read."""
+    try:
+        image = read_image(path)
+    except (ValueError, OSError):
+        return False
+    return bool((image == image[..., :1]).all())
 
 
 def _keys(folder: Path, series: _Series) -> list[Key]:

@@ -282,6 +282,17 @@ def test_inverse_depth_is_asked_about(inverse: bool, tmp_path: Path, capsys) -> 
         assert ("is it inverse depth or disparity?" in said) == inverse
 
 
+def test_pictures_in_color_come_before_masks(tmp_path: Path) -> None:
+    color = np.zeros((*SIZE, 3), np.uint8)
+    color[..., 2] = 200
+    for i in range(3):
+        cv2.imwrite(str(tmp_path / f"{i}_rgb.png"), color)
+        cv2.imwrite(str(tmp_path / f"{i}_mask.png"), np.full(SIZE, 255, np.uint8))
+        recordings.depth(tmp_path / f"{i}_depth.png", i, SIZE)
+    ways = [found.readings[0].settings[2] for found in recognize(tmp_path)]
+    assert ways == ["data.images=*_rgb.png", "data.images=*_mask.png"]
+
+
 def test_nothing_is_written_beside_the_frames(tmp_path: Path) -> None:
     RECORDERS["prefixes"].write(tmp_path, SIZE)
     before = sorted(tmp_path.rglob("*"))
