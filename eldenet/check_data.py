@@ -92,7 +92,7 @@ def recognize_folder(folder: Path) -> bool:
         for fact in found.facts:
             log.say(f"  {fact}")
         if len(found.readings) > 1:
-            log.say("  one of these reads it; a distance that you know decides:")
+            log.say("  a distance that you know decides which of these reads it, if any:")
         for reading in found.readings:
             log.say(f"  {reading.note}:" if reading.note else "  read by:")
             log.say(f"    {reading.line}")

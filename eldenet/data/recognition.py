@@ -335,7 +335,7 @@ def _describe(
         settings["input_size"] = f"[{32 * tiles[0]},{32 * tiles[1]}]"
     stated = stated_scale(folder / settings["csv"]) if "csv" in settings else None
     units = _units(raws, stated)
-    if len(units) == 1 and known and stated is None:
+    if known and stated is None:
         found.facts.append(
             "unit: guessed from the numbers; where a distance that you know disagrees, give another, such as "
             f"'data.encoding={{scale: 0.01, dtype: {_kind_of(raw)}}}' (centimeters)"

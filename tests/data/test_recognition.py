@@ -282,6 +282,17 @@ def test_inverse_depth_is_asked_about(inverse: bool, tmp_path: Path, capsys) -> 
         assert ("is it inverse depth or disparity?" in said) == inverse
 
 
+def test_another_unit_is_asked_about_where_several_known_ones_fit_too(tmp_path: Path) -> None:
+    """Virtual KITTI's depth is in 16-bit centimeters, and could be 16-bit millimeters."""
+    for i in range(3):
+        recordings.picture(tmp_path / f"images/{i}.png", i)
+        (tmp_path / "depths").mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / f"depths/{i}.png"), np.full(SIZE, 3000, np.uint16))
+    (found,) = recognize(tmp_path)
+    assert len(found.readings) > 1
+    assert "'data.encoding={scale: 0.01, dtype: uint16}' (centimeters)" in str(found.facts)
+
+
 def test_pictures_in_color_come_before_masks(tmp_path: Path) -> None:
     color = np.zeros((*SIZE, 3), np.uint8)
     color[..., 2] = 200
