@@ -60,8 +60,21 @@ def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     return values.masked_fill(~mask, 0.0).sum() / mask.sum().clamp(min=1)
 
 
+def check_maps(prediction: Tensor, target: Tensor, mask: Tensor) -> None:
+    """Raise ValueError unless all are ``(B, 1, H, W)``: others would broadcast, image against image."""
+    if prediction.ndim != 4 or not prediction.shape == target.shape == mask.shape:
+        maps = {"prediction": prediction, "target": target, "mask": mask}
+        found = ", ".join(f"{name} {tuple(each.shape)}" for name, each in maps.items())
+        raise ValueError(f"{found}: give maps of the same shape (B, 1, H, W)")
+
+
 def fill_masked(prediction: Tensor, target: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Set masked pixels of maps ``(B, 1, H, W)`` to 1 m: logarithms, ratios and windows stay finite there."""
+    """Set masked pixels of maps ``(B, 1, H, W)`` to 1 m: logarithms, ratios and windows stay finite there.
+
+    Raises:
+        ValueError: the maps differ in shape.
+    """
+    check_maps(prediction, target, mask)
     return prediction.masked_fill(~mask, 1.0), target.masked_fill(~mask, 1.0)
 
 
@@ -168,10 +181,7 @@ class WeightedSum(nn.Module):
         Raises:
             ValueError: the maps differ in shape, or a term needs a spread.
         """
-        shapes = {name: tuple(getattr(inputs, name).shape) for name in ("prediction", "target", "mask")}
-        if len(set(shapes.values())) > 1:
-            found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-            raise ValueError(f"{found}: give maps of the same shape")
+        check_maps(*inputs[:3])
         if self.needs_spread and inputs.spread is None:
             raise ValueError(NO_SIGMA)
         mask = inputs.mask

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from eldenet.losses.base import Loss
+from eldenet.losses.base import Loss, check_maps
 
 
 class ScaleShiftInvariantLoss(Loss):
@@ -29,6 +29,7 @@ class ScaleShiftInvariantLoss(Loss):
 
     def forward(self, prediction: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         """``(B, 1, H, W)`` each, mask bool -> scalar: the mean over the images that have known pixels."""
+        check_maps(prediction, target, mask)
         error = self._centered(prediction, mask) - self._centered(target, mask)
         total = _mean(error.abs(), mask)
         for step in range(self.scales if self.gradient_weight else 0):

@@ -17,6 +17,7 @@ from eldenet.configurable import instantiate
 from eldenet.losses.base import Loss, LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.gradient import GradientLoss
 from eldenet.losses.pointwise import BerHuLoss, L1Loss, L2Loss
+from eldenet.losses.scale_shift import ScaleShiftInvariantLoss
 from eldenet.losses.silog import SILogLoss
 from eldenet.losses.ssim import SSIMLoss
 from eldenet.train import TrainSettings
@@ -208,3 +209,14 @@ DEPTH, KNOWN = torch.ones(2, 1, 16, 20), torch.ones(2, 1, 16, 20, dtype=torch.bo
 def test_wrong_input_is_named(use: Callable, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         use(WeightedSum({"l1": WeightedTerm(L1Loss())}))
+
+
+@pytest.mark.parametrize("make", [*LOSSES.values(), ScaleShiftInvariantLoss])
+@pytest.mark.parametrize("give", [lambda depth: depth[:, 0], lambda depth: depth[:1]])
+def test_a_loss_alone_refuses_maps_that_would_broadcast(make: Callable[[], Loss], give: Callable) -> None:
+    """``(B, H, W)`` beside ``(B, 1, H, W)`` would compare every image with the depth of all others."""
+    prediction, (target, mask) = DEPTH, map(give, (DEPTH, KNOWN))
+    with pytest.raises(ValueError, match="give maps of the same shape"):
+        make()(prediction, target, mask)
+    with pytest.raises(ValueError, match=r"prediction \(2, 16, 20\), .*same shape \(B, 1, H, W\)"):
+        make()(prediction[:, 0], DEPTH[:, 0], KNOWN[:, 0])
