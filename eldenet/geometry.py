@@ -521,12 +521,18 @@ def in_meters(depth: "Tensor", focal: "float | Tensor | None", canonical_px: flo
     Args:
         focal: fx [px of the network's image], a number or ``(B,)``; 0, NaN and None: the canonical camera's.
         canonical_px: focal length of the canonical camera [px]; None: ``depth`` is in meters already.
+
+    Raises:
+        ValueError: ``focal`` is neither one number nor one per image.
     """
     if focal is None or canonical_px is None:
         return depth
     import torch
 
-    return depth * focal_ratio(torch.as_tensor(focal, device=depth.device), canonical_px)
+    focal = torch.as_tensor(focal, device=depth.device)
+    if focal.numel() not in (1, len(depth)):  # such as all intrinsics: depth would become a batch of maps
+        raise ValueError(f"focal has shape {tuple(focal.shape)}: give fx [px], a number or ({len(depth)},)")
+    return depth * focal_ratio(focal, canonical_px)
 
 
 def focal_ratio(focal: "Tensor", canonical_px: float) -> "Tensor":

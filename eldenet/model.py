@@ -137,7 +137,8 @@ class DepthNet(Configurable, nn.Module):
 
         Raises:
             ValueError: an image of another shape, one that is not floating point or reaches 255 (only the
-                first call checks), or ``with_spread`` for a network that predicts no sigma.
+                first call checks), ``focal`` of another number of images, or ``with_spread`` for a network
+                that predicts no sigma.
         """
         if image.ndim != 4 or image.shape[1] != 3:
             raise ValueError(f"image has shape {tuple(image.shape)}: give (B, 3, H, W)")

@@ -58,6 +58,13 @@ def test_meters_are_canonical_depth_times_the_ratio_of_focal_lengths(name: str) 
     torch.testing.assert_close(by_image, expected)
 
 
+@pytest.mark.parametrize("focal", [(48.0, 48.0, 20.0, 12.0), torch.eye(3) * 48, torch.ones(3)])
+def test_intrinsics_in_place_of_a_focal_length_are_refused(focal: object) -> None:
+    """They would broadcast: one depth map per number, each through another lens."""
+    with pytest.raises(ValueError, match=r"focal has shape .*: give fx \[px\], a number or \(1,\)"):
+        canonical_net()(picture(*SIZE), focal=focal)
+
+
 def test_a_refinement_sees_canonical_depth() -> None:
     """So that what it takes for an edge does not depend on the lens."""
     model, image = canonical_net(refine=JointBilateral()), picture(*SIZE)
