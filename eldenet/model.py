@@ -194,10 +194,13 @@ class DepthNet(Configurable, nn.Module):
 
         from eldenet import __version__
 
+        named = [(name, getattr(self, name)) for name in ("network", "head", "refine") if name in self.config]
+        parts = {name: part.config if isinstance(part, Configurable) else part for name, part in named}
         try:
             config: dict[str, Any] = {
                 "eldenet_version": __version__,
-                "model": self.config,
+                # of the parts that it has now: model.head = LogHead() may have replaced one
+                "model": self.config | parts,
                 "info": merge_info(self.info, info or {}),
             }
             json.dumps(config)

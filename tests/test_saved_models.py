@@ -68,6 +68,18 @@ def test_every_part_is_saved_and_read_back(options: dict[str, Any], tmp_path: Pa
     assert same_model(eldenet.load(str(tmp_path / "again")), model)
 
 
+@pytest.mark.parametrize(
+    ("name", "part"), [("head", LinearHead(0.1, 80.0)), ("head", LogHead()), ("refine", JointBilateral(3))]
+)
+def test_a_replaced_part_is_saved_in_place_of_the_old_one(name: str, part: nn.Module, tmp_path: Path) -> None:
+    """Its weights fit either part, so nothing else would show that depth is another."""
+    model, image = small_net(), torch.rand(1, 3, 64, 96)
+    setattr(model, name, part)
+    model.save_pretrained(tmp_path)
+    with torch.inference_mode():
+        torch.testing.assert_close(eldenet.load(tmp_path)(image), model(image))
+
+
 def test_half_the_bytes_hold_the_parameters_and_the_exact_statistics(tmp_path: Path) -> None:
     model = small_net()
     model.save_pretrained(tmp_path / "half", half=True)
