@@ -75,6 +75,16 @@ def test_models_run_without_a_file(trained_model, images, reference, runtime: st
     assert map_errors(network(images), reference)["max_relative"] < ROUNDING
 
 
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+def test_a_model_without_a_file_sees_frames_of_any_shape_as_torch_does(trained_model, runtime: str) -> None:
+    file = DepthPredictor(runtimes.load(trained_model, runtime, threads=1), steady=False)
+    network = DepthPredictor(trained_model, steady=False)
+    for size in ((72, 128), (128, 72)):  # of another aspect than the training's
+        frame = np.random.default_rng(0).integers(0, 255, (*size, 3), dtype=np.uint8)
+        np.testing.assert_allclose(file(frame), network(frame), rtol=1e-3)
+    assert runtimes.load(trained_model, runtime, threads=1, size=(64, 64)).fixed_size == (64, 64)
+
+
 @pytest.mark.parametrize(
     ("source", "runtime"),
     [

@@ -59,8 +59,8 @@ def load(
         threads: on a CPU; None: all cores that this process may use.
         device: "cpu", "cuda", "tensorrt" (ONNX Runtime), "gpu", "npu" (OpenVINO), or an ONNX Runtime
             provider's name.
-        size: ``(height, width)`` [px] at which a model is exported for ONNX Runtime or OpenVINO; None: as for
-            whole frames in its training (:func:`eldenet.model.size_of_frames`).
+        size: the only ``(height, width)`` [px] at which a model runs under ONNX Runtime or OpenVINO; None:
+            any, as under torch.
         trusted_modules: packages whose classes a folder's config may name.
 
     Raises:
@@ -85,7 +85,7 @@ def load(
 
     model = source if isinstance(source, DepthNet) else eldenet.load(source, trusted_modules=trusted_modules)
     runtime = "torch" if runtime == "auto" else runtime
-    size = size or size_of_frames(model.info)
+    any_size, size = size is None, size or size_of_frames(model.info)
     name = str(model.info.get("model_name", "unnamed"))
     metadata = (
         {"model": name, "distribution": json.dumps(model.distribution)} | canonical_camera(model)
@@ -106,7 +106,8 @@ def load(
     if precision == "int8":
         raise ValueError("int8 needs calibration pictures: export a file (eldenet export)")
     with tempfile.TemporaryDirectory() as folder:
-        path = write_onnx(model, Path(folder) / "model.onnx", (size[0], size[1]), metadata=metadata)
+        path = Path(folder) / "model.onnx"
+        write_onnx(model, path, (size[0], size[1]), any_size=any_size, metadata=metadata)
         network = _open(path, runtime, precision, threads, device)
         network.reopen = None  # the file is gone
         return network
