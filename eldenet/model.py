@@ -16,7 +16,7 @@ from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
 from eldenet.geometry import in_meters
 from eldenet.heads import Head, add_channels
-from eldenet.system.checks import check_size
+from eldenet.system.checks import check_largest, check_size
 from eldenet.system.digests import check_digests, with_digests
 from eldenet.system.files import read_json, write_bytes, write_text
 from eldenet.system.terminal import print_note
@@ -25,7 +25,6 @@ from eldenet.uncertainty import DepthEstimate
 from eldenet.weights.model_card import MARK, model_card, summary
 
 CONFIG_NAME, WEIGHTS_NAME, CARD_NAME = "config.json", "model.safetensors", "README.md"
-LARGEST_VALUE = 10.0  # of an image in [0, 1], with room for normalized ones and noise; bytes go to 255
 
 
 class EncoderDecoder(Configurable, nn.Module):
@@ -146,7 +145,8 @@ class DepthNet(Configurable, nn.Module):
             raise ValueError(f"image is {image.dtype}: give floats in [0, 1] (bytes divided by 255)")
         if not self._range_checked and not torch.compiler.is_compiling() and not torch.jit.is_tracing():
             self._range_checked = True  # once: a look at the values makes the CPU wait for a GPU
-            _check_range(image.detach())
+            if image.numel() and image.device.type != "meta":
+                check_largest(float(image.detach().max()))
         raw = self.network((image - self.mean) / self.std).float()
         if raw.shape[-2:] != image.shape[-2:]:
             raw = F.interpolate(raw, size=image.shape[-2:], mode="bilinear", align_corners=False)
@@ -280,14 +280,6 @@ class DepthNet(Configurable, nn.Module):
         with tempfile.TemporaryDirectory() as folder:
             self.save_pretrained(folder, **save_options)
             return str(api.upload_folder(repo_id=repo_id, folder_path=folder))
-
-
-def _check_range(image: Tensor) -> None:
-    """Raise ``ValueError`` if an image's values look like bytes."""
-    if image.numel() and image.device.type != "meta" and (largest := float(image.max())) > LARGEST_VALUE:
-        raise ValueError(
-            f"image has values up to {largest:.0f}: give floats in [0, 1] (bytes divided by 255)"
-        )
 
 
 def _canonical_px(focal: float | None, width: int | None) -> float | None:

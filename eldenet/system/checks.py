@@ -4,6 +4,7 @@ from collections.abc import Collection
 from typing import Any
 
 LARGEST_SIDE = 16_384  # [px] of an image that a network sees
+LARGEST_VALUE = 10.0  # of an image in [0, 1], with room for normalized ones and noise; bytes go to 255
 
 
 def one_of(name: str, value: Any, allowed: Collection[Any]) -> None:
@@ -33,3 +34,9 @@ def check_size(name: str, value: Any) -> tuple[int, int] | None:
             f"{name}={value!r}: give [height, width] in pixels, 1 to {LARGEST_SIDE} each, or null"
         )
     return sides[0], sides[1]
+
+
+def check_largest(value: float) -> None:
+    """Raise ``ValueError`` if the largest value of images in [0, 1] is that of bytes."""
+    if value > LARGEST_VALUE:
+        raise ValueError(f"image has values up to {value:.0f}: give floats in [0, 1] (bytes divided by 255)")

@@ -202,6 +202,8 @@ def test_wrong_images_are_refused(files, images) -> None:
             network((images * 255).astype(np.uint8))
         with pytest.raises(ValueError, match="export another"):
             network(images[..., :-8])
+        with pytest.raises(ValueError, match=r"values up to \d{3}: give floats in \[0, 1\]"):
+            network(images * 255)
 
 
 def test_files_describe_themselves(files) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from eldenet.system.checks import check_size, one_of
+from eldenet.system.checks import check_largest, check_size, one_of
 from eldenet.system.errors import reading
 from eldenet.system.files import parse_json
 from eldenet.system.onnx_files import EXPORT_AGAIN
@@ -136,7 +136,8 @@ class Runtime:
         """Return meters as an array for an array, and as a tensor on its device for a tensor.
 
         Raises:
-            ValueError: this network takes images of another shape or type, or does not answer with depth.
+            ValueError: this network takes images of another shape, type or range, or does not answer with
+                depth.
         """
         depth = self.run(self._checked(images))
         check_depth(depth)
@@ -150,7 +151,8 @@ class Runtime:
         """Depth and sigma ``(B, 1, H, W)`` in the output's unit; sigma is None if the network predicts none.
 
         Raises:
-            ValueError: this network takes images of another shape or type, or does not answer with depth.
+            ValueError: this network takes images of another shape, type or range, or does not answer with
+                depth.
         """
         depth, *sigma = self.run_maps(self._checked(images))
         check_depth(depth)
@@ -167,6 +169,8 @@ class Runtime:
                 f"images are {given.shape} {given.dtype}; this network takes {kind} of shape ({sides}): give "
                 "such, or export another file"
             )
+        if given.size and not self.takes_frames:
+            check_largest(given.max())
         return np.ascontiguousarray(given)
 
 
