@@ -258,7 +258,8 @@ def _timed(source: Iterable[np.ndarray], rate: float) -> Generator[TimedFrame, N
     frames = iter(source)
     try:
         for number, frame in enumerate(frames):
-            yield frame, number / rate
+            # a copy: many cameras' libraries fill one array again and again, and frames wait in the queue
+            yield frame.copy() if isinstance(frame, np.ndarray) else frame, number / rate
     finally:
         close = getattr(frames, "close", None)  # of a generator
         if close is not None:

@@ -31,6 +31,18 @@ def test_a_stream_keeps_every_frame_of_a_file() -> None:
     assert stream.fps > 0
 
 
+def test_frames_that_wait_stay_as_they_were_where_a_camera_fills_one_array_again_and_again() -> None:
+    def camera() -> Iterator[np.ndarray]:
+        array = np.empty((4, 6, 3), np.uint8)
+        for number in range(5):
+            array[:] = number
+            yield array
+
+    with runtimes.DepthStream(camera(), depth_of, queue_size=5) as stream:
+        seen = [(number, int(frame[0, 0, 0]), int(depth[0, 0])) for number, frame, depth, _ in stream]
+    assert seen == [(number, number, number) for number in range(5)]
+
+
 @pytest.mark.parametrize("size", [(36, 64), (64, 36), (48, 64)])
 def test_a_stream_tells_the_predictor_its_camera(size: tuple[int, int]) -> None:
     """So meters hold for the camera; frames of any aspect have depth of their own size."""
