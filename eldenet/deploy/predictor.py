@@ -115,7 +115,7 @@ class DepthPredictor:
 
             from eldenet.deploy.fold import fold
 
-            self.device = torch.device(device or "cpu")
+            self.device = torch.device("cpu" if device is None else device)
             if self.device.type == "cuda":
                 check_torch_device("cuda")
                 full_fp32()  # as under other runtimes

@@ -96,10 +96,11 @@ def test_predictor_refuses_what_does_not_fit(model: DepthNet, network: Any, opti
         DepthPredictor(network or model, **options)
 
 
-def test_predictor_refuses_a_gpu_that_torch_does_not_see(model: DepthNet, monkeypatch) -> None:
+@pytest.mark.parametrize("device", ["cuda", 0])  # torch's name of the first GPU, which is no "none given"
+def test_predictor_refuses_a_gpu_that_torch_does_not_see(model: DepthNet, monkeypatch, device) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ValueError, match="device=cuda, but torch sees no CUDA device: use device=cpu"):
-        DepthPredictor(model, device="cuda")
+        DepthPredictor(model, device=device)
 
 
 def test_fp32_on_cuda_is_not_tf32(model: DepthNet, monkeypatch: pytest.MonkeyPatch) -> None:
