@@ -15,7 +15,7 @@ from PIL import Image, ImageOps
 from eldenet.data.io import read_image
 from eldenet.deploy.lens import UNKNOWN_LENS, Lens
 from eldenet.deploy.outputs import ENDING, Results, name_results
-from eldenet.deploy.predictor import DepthPredictor
+from eldenet.deploy.predictor import DepthPredictor, check_frame
 from eldenet.deploy.stream import is_live, without_password
 from eldenet.deploy.video_files import is_video_file
 from eldenet.geometry import PinholeCamera, back_project, check_intrinsics, focal_length
@@ -208,7 +208,8 @@ def _read(picture: Any) -> tuple[np.ndarray, Path | Image.Image | None]:
         if not (picture.size and picture.min() >= 0 and picture.max() <= 1):
             raise ValueError("source is a float array outside [0, 1]: divide it by 255, or give uint8")
         picture = np.rint(picture * 255).astype(np.uint8)
-    return picture, None
+    check_frame(picture)
+    return picture.copy(), None  # a camera may fill its array again before the result is drawn
 
 
 def _predictor(checkpoint: str | Path) -> DepthPredictor:

@@ -80,6 +80,13 @@ def test_every_form_of_a_picture_gives_the_same_depth(small: Path, tmp_path: Pat
     assert in_folder[1].save(tmp_path / "out", "color") == [tmp_path / "out/b/c_color.png"]
 
 
+def test_a_result_keeps_its_photo_where_a_camera_fills_one_array_again_and_again(small: Path) -> None:
+    frame = photo()
+    result = eldenet.estimate(frame, small, fov=60)
+    frame[:] = 0
+    np.testing.assert_array_equal(result.photo, photo())
+
+
 def test_exif_knows_lens_and_pose_in_a_file_and_in_memory(tmp_path: Path) -> None:
     Image.fromarray(photo()).save(tmp_path / "a.jpg", exif=exif(26))
     with Image.open(tmp_path / "a.jpg") as opened:
@@ -134,6 +141,7 @@ def test_an_exported_file_is_a_checkpoint_too(small: Path, tmp_path: Path) -> No
         (None, {}, "source is NoneType: give a file, a folder, a PIL picture"),
         (photo() * 1.0, {}, "outside \\[0, 1\\]: divide it by 255"),
         (photo()[..., 0], {}, r"source is array \(48, 64\): give a file"),
+        (photo()[:, 60:60], {"fov": 60}, r"frame is \(48, 0, 3\) uint8: give the picture"),
         (photo().astype(np.uint16), {}, r"\(48, 64, 3\) uint16: give the picture"),
         (Image.fromarray(photo()[..., 0].astype(np.uint16)), {}, "mode I;16: convert it to 8 bits"),
         (photo(), {"fov": 60, "focal": 50}, "focal and fov are given: give only one"),
