@@ -19,10 +19,12 @@ from eldenet.navigation.range_scale import RangeScale
 from eldenet.navigation.ranges import CAUTION, depth_to_ranges
 from eldenet.navigation.watch import Look, Watch, absurd
 from eldenet.simulation.robot import ROBOT, front
+from eldenet.system.errors import warn_once
 from eldenet.uncertainty import DepthEstimate
 
 MOST_UNSURE = 0.85  # of a depth map: a robot that sees less stands still
 TURN = 2 * math.pi + 1e-6  # [rad], but for rounding
+FLOOR_FROM = 1.4  # [m]: where the picture shows the floor only from here on, low boxes were hit in simulation
 SENT = round(MAX_LATENCY / ROBOT.period) + 1  # commands that are kept
 POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
 
@@ -161,6 +163,7 @@ class OnRobot:
         tilt, camera, raw = (camera_pitch, camera_roll), None, depth
         if depth.ndim == 2 and matrix is not None:
             camera = PinholeCamera(matrix, level_rotation(*tilt))
+            _warn_of_floor_below(depth.shape[0], matrix, camera_height, camera_pitch)
         if self.leveler is not None and camera is not None:
             pitch, roll, factor = self.leveler(depth, camera, camera_height)
             if (pitch, roll, factor) != (0.0, 0.0, 1.0):
@@ -272,6 +275,17 @@ def nearest_depth(depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
         low = DepthEstimate(depth, sigma, "laplace").interval(CAUTION)[0]
     return np.where(depth > 0, np.where(np.isnan(low), 0.0, low), np.inf)
+
+
+def _warn_of_floor_below(rows: int, matrix: np.ndarray, height: float, pitch: float) -> None:
+    """Warn once where low things leave the picture below so far ahead that the robot forgets them."""
+    down = pitch + math.atan((rows - 0.5 - matrix[1, 2]) / matrix[1, 1])  # of the lowest ray [rad]
+    if down <= 0 or height / math.tan(min(down, 1.5)) > FLOOR_FROM:
+        seen = f"only from {height / math.tan(down):.1f} m on" if down > 0 else "nowhere"
+        warn_once(
+            f"a camera {height:g} m high with camera_pitch={pitch:g} shows the floor {seen}, so low things "
+            f"are forgotten before the robot is past them: tilt it down to show it from {FLOOR_FROM:g} m on"
+        )
 
 
 def as_ranges(

@@ -113,6 +113,22 @@ def test_a_slower_robot_drives_the_same_arc_and_remembers_what_it_drove(make):
     assert slow.step(*seen, max_speed=0.2) == pytest.approx((-0.2, 0.2))  # backwards too
 
 
+@pytest.mark.parametrize(
+    ("height", "pitch", "said"),
+    [(0.4, 0.0, ""), (1.0, 0.3, ""), (1.0, 0.0, "1.9 m"), (0.4, -0.48, "nowhere")],
+)
+def test_a_camera_that_does_not_see_the_floor_near_the_robot_is_named(caplog, height, pitch, said):
+    """480 rows of 54.6 degrees: what leaves them below counts as free."""
+    camera = (465.0, 465.0, 319.5, 239.5)
+    depth = np.full((480, 640), 9.0)
+    Navigator.load().step(
+        depth, (5.0, 0.0), (0.0, 0.0, 0.0), intrinsics=camera, camera_height=height, camera_pitch=pitch
+    )
+    warned = [line for line in caplog.messages if "shows the floor" in line]
+    assert len(warned) == bool(said)
+    assert all(said in line and "tilt it down" in line for line in warned)
+
+
 @DRIVERS
 def test_a_narrow_camera_drives_too_and_keeps_what_it_no_longer_sees(make):
     """60 degrees instead of 69.4: the outer columns are unknown, so nothing there is forgotten or free."""
