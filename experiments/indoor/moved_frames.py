@@ -1,12 +1,11 @@
-"""Views of frames with depth by a camera that has moved towards things and turned.
+"""Views of NYU's training frames by a camera that has moved towards things and turned.
 
-python experiments/indoor/moved_frames.py $ELDENET_DATA/moved_frames                        # NYU's training frames
-python experiments/indoor/moved_frames.py $ELDENET_DATA/moved_photographs --teacher eldenet_l_indoor --views 2
+python experiments/indoor/moved_frames.py $ELDENET_DATA/moved_frames
 
-A frame with depth is a colored surface, and a second camera may look at it: from a tenth to four fifths of the
-way to what it looks at, turned by about 14 degrees to a side and 11 up or down, with a lens up to 1.5 times as
-long. So real things stand at distances that the frames hardly have. What the first camera did not see is filled
-in the picture and unknown in the depth; a view of which the frame shows less than 80 % is drawn anew.
+A frame with depth is a colored surface, and a second camera may look at it: from a tenth to four fifths of
+the way to what it looks at, turned by about 14 degrees to a side and 11 up or down, with a lens up to 1.5
+times as long. So real things stand at distances that NYU hardly has. What the first camera did not see is
+filled in the picture and unknown in the depth; a view of which less than 80 % was seen is drawn anew.
 
 Each frame gets a folder of ``<view>.jpg`` (240 x 320), ``<view>.png`` (planar depth [mm], 16 bits, 0 unknown)
 and ``<view>.txt`` (``fx fy cx cy`` [px]), as ``+experiment=moved_frames`` reads them; run it again to resume.
@@ -14,16 +13,13 @@ and ``<view>.txt`` (``fx fy cx cy`` [px]), as ``+experiment=moved_frames`` reads
 
 import argparse
 import math
-import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from eldenet.data.nyu import NYULabelled
-from eldenet.data.teacher_labels import TeacherLabels
 from eldenet.types import Frame
-from eldenet.zoo import build_teacher
 
 SIZE = (240, 320)  # (height, width) of a view [px]
 BORDER = 12  # of NYU's frames, which has no picture [px]
@@ -80,8 +76,7 @@ def view(frame: Frame, generator: np.random.Generator) -> tuple[np.ndarray, np.n
     height, width = frame.depth.shape
     (fx, _, cx), (_, fy, cy), _ = frame.intrinsics
     points, colors = surface(frame, 1)
-    step = max(1, len(points) // 10_000)
-    points, colors = points[::step], colors[::step]
+    points, colors = points[::29], colors[::29]
     for _ in range(TRIES):
         yaw, pitch, roll = generator.normal(0, np.radians([14, 11, 2]))
         focal = fx / width * SIZE[1] * math.exp(generator.uniform(0, math.log(1.5)))
@@ -118,16 +113,10 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     options.add_argument("folder", type=Path)
     options.add_argument("--views", type=int, default=4, help="of a frame")
-    options.add_argument("--teacher", help="labels the photographs in unlabelled/openimages_doors, in meters")
-    options.add_argument("--part", default="0/1", help="K/N: the K-th of N parts, each for a process of its own")
+    options.add_argument("--part", default="0/1", help="K/N: one of N parts, each for a process of its own")
     args = options.parse_args()
     cv2.setNumThreads(1)
-    if args.teacher:
-        photographs = Path(os.environ["ELDENET_DATA"]) / "unlabelled" / "openimages_doors"
-        teacher = build_teacher(args.teacher, input_size=(192, 256))
-        frames = TeacherLabels(photographs, teacher=teacher, focal=0.8, min_depth=0.1, max_depth=10.0)
-    else:
-        frames = NYULabelled(split="train", min_depth=0.1, max_depth=10.0)
+    frames = NYULabelled(split="train", min_depth=0.1, max_depth=10.0)
     first, parts = map(int, args.part.split("/"))
     for index in range(first, len(frames), parts):
         frame = frames.load_frame(index)
