@@ -4,6 +4,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eldenet.data.base import DepthDataset
 from eldenet.data.inspection import identities
 from eldenet.data.mix import Mix
@@ -15,6 +17,8 @@ from eldenet.system.files import displayed
 from eldenet.system.resources import Resources
 from eldenet.training.trainer import Trainer
 
+LOOKED_AT = 5  # frames of a data set
+
 
 def before(
     splits: Splits,
@@ -24,7 +28,7 @@ def before(
     resources: Resources,
     folder: Path,
 ) -> Iterator[str]:
-    """Yield lines: the frames, those that are trained on and scored, the teacher, frames without a camera."""
+    """Yield lines: the frames, those trained on and scored, the teacher, no camera, depth out of range."""
     yield (
         f"{data['name']}: {len(splits.train)} training and {len(splits.val)} validation frames; "
         f"{resources.device}, {resources.precision}, {resources.threads} threads, {resources.workers} "
@@ -42,6 +46,7 @@ def before(
             "camera's: meters will be off by as much as their focal length differs (data=folder takes "
             "data.intrinsics)"
         )
+    yield from out_of_range(splits.train)
 
 
 def after(splits: Splits, trainer: Trainer, record: Mapping[str, Any]) -> Iterator[str]:
@@ -73,10 +78,30 @@ def collapse(record: Mapping[str, Any]) -> str:
 
 def without_camera(train_set: DepthDataset) -> str:
     """Return the name of a frame in meters without intrinsics; "" if the first of each source has them."""
-    parts = [train_set]
-    if isinstance(train_set, Mix):
-        parts = [source.frames for source in train_set.sources.values() if not source.relative]
+    parts = in_meters(train_set)
     return next((part.names[0] for part in parts if part.load_frame(0).intrinsics is None), "")
+
+
+def out_of_range(train_set: DepthDataset) -> Iterator[str]:
+    """Yield a warning for each source with most depth outside its range, judged by a few frames."""
+    for part in in_meters(train_set):
+        some = range(0, len(part.names), -(-len(part.names) // LOOKED_AT))
+        depth = np.concatenate([part.load_frame(index).depth.ravel() for index in some])
+        depth = depth[depth > 0]
+        within = np.mean((depth >= part.min_depth) & (depth <= part.max_depth)) if depth.size else 1.0
+        if within < 0.5:
+            yield (
+                f"warning: of the depth in frames such as {part.names[0]} (median {np.median(depth):.3g} m), "
+                f"{1 - within:.0%} is outside {part.min_depth:g} to {part.max_depth:g} m and not used: is "
+                "the unit right? Else set data.min_depth and data.max_depth"
+            )
+
+
+def in_meters(train_set: DepthDataset) -> list[DepthDataset]:
+    """Return the data set, or the sources of a mix whose depth is in meters."""
+    if isinstance(train_set, Mix):
+        return [source.frames for source in train_set.sources.values() if not source.relative]
+    return [train_set]
 
 
 def common_frames(train_set: DepthDataset, scored: DepthDataset) -> int:
