@@ -44,9 +44,10 @@ def predict_depth(
 
     ``focal (B,)`` is fx [px of ``image``], 0 where unknown; models without ``canonical_px`` ignore it.
     """
-    prediction = model(image)
+    given = {} if focal is None or not hasattr(model, "network") else {"lens": focal}
+    prediction = model(image, **given)
     if flip == "mean":
-        prediction = 0.5 * (prediction + model(image.flip(-1)).flip(-1))
+        prediction = 0.5 * (prediction + model(image.flip(-1), **given).flip(-1))
     return in_meters(prediction, focal, getattr(model, "canonical_px", None))
 
 
@@ -55,9 +56,10 @@ def predict_spread(
     model: nn.Module, image: Tensor, focal: Tensor | None = None, *, flip: str = "none"
 ) -> tuple[Tensor, Tensor]:
     """Depth as :func:`predict_depth`, and the standard deviation of ln depth; ``(B, 1, h, w)`` each."""
-    depth, spread = model(image, with_spread=True)
+    given = {} if focal is None or not hasattr(model, "network") else {"lens": focal}
+    depth, spread = model(image, with_spread=True, **given)
     if flip == "mean":
-        mirrored = [each.flip(-1) for each in model(image.flip(-1), with_spread=True)]
+        mirrored = [each.flip(-1) for each in model(image.flip(-1), with_spread=True, **given)]
         depth, spread = 0.5 * (depth + mirrored[0]), 0.5 * (spread + mirrored[1])
     return in_meters(depth, focal, getattr(model, "canonical_px", None)), spread
 
