@@ -40,55 +40,20 @@ class EncoderDecoder(Configurable, nn.Module):
         self,
         backbone: Backbone,
         decoder: Decoder | Callable[[Sequence[FeatureInfo]], Decoder] | type[Decoder],
-        camera: bool = False,
     ) -> None:
         super().__init__()
         self.backbone = backbone
-        self.camera = CameraFeatures(backbone.feature_info) if camera else None
         self.decoder = decoder if isinstance(decoder, Decoder) else decoder(backbone.feature_info)
         self.config["decoder"] = self.decoder.config
 
-    def forward(self, image: Tensor, lens: Tensor | None = None) -> Tensor:
-        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``; ``lens (B,)``: fx in canonical ones."""
-        features = self.backbone(image)
-        if self.camera is not None:
-            features = self.camera(features, image, lens)
-        raw = self.decoder(features)
+    def forward(self, image: Tensor) -> Tensor:
+        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``."""
+        raw = self.decoder(self.backbone(image))
         rows, cols = (-(-side // self.decoder.stride) for side in image.shape[-2:])
         # decoders do not know the image size: a map finer than the finest feature may exceed an odd one. The
         # shapes alone would not do: an export at any size keeps the branch that its example takes
         finer = self.decoder.stride < min(info.stride for info in self.backbone.feature_info)
         return raw[..., :rows, :cols] if finer or raw.shape[-2:] != (rows, cols) else raw
-
-
-class CameraFeatures(nn.Module):
-    """Scales and shifts every feature by what the rays say: tangents of a pixel's ray, and ln of the lens."""
-
-    def __init__(self, info: Sequence[FeatureInfo], canonical: float = 0.8) -> None:
-        super().__init__()
-        self.canonical = canonical
-        self.first = nn.ModuleList(nn.Conv2d(4, 16, 1) for _ in info)
-        self.last = nn.ModuleList(nn.Conv2d(16, 2 * each.channels, 1) for each in info)
-        for each in self.last:
-            nn.init.zeros_(each.weight)
-            nn.init.zeros_(each.bias)
-
-    def forward(self, features: Sequence[Tensor], image: Tensor, lens: Tensor | None) -> list[Tensor]:
-        batch, _, _, _ = image.shape
-        if lens is None:
-            lens = torch.stack([image.new_ones(batch), image.new_full((batch,), 160.0)], 1)
-        inverse, px = 1 / lens[:, 0].view(-1, 1, 1, 1), lens[:, 1].view(-1, 1, 1, 1)
-        result = []
-        for feature, first, last in zip(features, self.first, self.last, strict=True):
-            h, w = feature.shape[-2:]
-            half_x, half_y = image.shape[-1] / 2, image.shape[-2] / 2
-            x = torch.linspace(-1 + 1 / w, 1 - 1 / w, w).view(1, 1, 1, w) * half_x / px * inverse
-            y = torch.linspace(-1 + 1 / h, 1 - 1 / h, h).view(1, 1, h, 1) * half_y / px * inverse
-            log = -inverse.log()
-            rays = torch.cat([r.expand(batch, 1, h, w) for r in (x, y, log, (x * x + y * y).sqrt())], 1)
-            gain, shift = last(F.hardswish(first(rays))).chunk(2, 1)
-            result.append(feature * (1 + gain) + shift)
-        return result
 
 
 class DepthNet(Configurable, nn.Module):
@@ -151,24 +116,17 @@ class DepthNet(Configurable, nn.Module):
         decoder: Callable[[Sequence[FeatureInfo]], Decoder],
         head: Head,
         refine: nn.Module | None = None,
-        camera: bool = False,
         **options: Any,
     ) -> Self:
         """Return ``DepthNet(EncoderDecoder(backbone, decoder), head)``, for the flat YAML files of models."""
-        return cls(EncoderDecoder(backbone, decoder, camera), head, refine=refine, **options)
+        return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **options)
 
     @property
     def distribution(self) -> str | None:
         """Distribution of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma."""
         return self.head.distribution
 
-    def forward(
-        self,
-        image: Tensor,
-        focal: float | Tensor | None = None,
-        with_spread: bool = False,
-        lens: Tensor | None = None,
-    ) -> Any:
+    def forward(self, image: Tensor, focal: float | Tensor | None = None, with_spread: bool = False) -> Any:
         """``image (B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], for any H and W.
 
         Args:
@@ -189,14 +147,7 @@ class DepthNet(Configurable, nn.Module):
             self._range_checked = True  # once: a look at the values makes the CPU wait for a GPU
             if image.numel() and image.device.type != "meta":
                 check_largest(float(image.detach().max()))
-        lens = getattr(self, "lens", None) if lens is None else lens
-        if lens is not None and getattr(self.network, "camera", None) is not None:
-            ratio = lens.float() / self.canonical_px
-            ratio = ratio.where(ratio > 0, torch.ones_like(ratio))
-            given = torch.stack([ratio, torch.full_like(ratio, self.canonical_px)], 1)
-            raw = self.network((image - self.mean) / self.std, given).float()
-        else:
-            raw = self.network((image - self.mean) / self.std).float()
+        raw = self.network((image - self.mean) / self.std).float()
         if raw.shape[-2:] != image.shape[-2:]:
             raw = F.interpolate(raw, size=image.shape[-2:], mode="bilinear", align_corners=False)
         depth = self.head.to_meters(raw)

@@ -22,7 +22,6 @@ class Source:
     # its depth is known up to a factor (and a shift) only: it counts in the loss terms with applies_to:
     # relative and in no other
     relative: bool
-    shares: "np.ndarray[Any, Any] | None" = None  # of the draws, of each frame; None: all the same
 
 
 class Mix(DepthDataset):
@@ -73,10 +72,7 @@ class Mix(DepthDataset):
         epoch, index, *aspect = key if isinstance(key, tuple) else (0, key)
         generator = np.random.default_rng((self.seed, epoch, index))
         source = list(self.sources.values())[generator.choice(len(self._shares), p=self._shares)]
-        if source.shares is None:
-            place = int(generator.integers(len(source.frames)))
-        else:
-            place = int(generator.choice(len(source.shares), p=source.shares))
+        place = int(generator.integers(len(source.frames)))
         # one draw, one augmentation: a frame that an epoch draws twice is augmented in two ways
         draw = epoch * self.frames + index, place
         sample = source.frames[(*draw, aspect[0]) if aspect else draw]
@@ -134,7 +130,7 @@ class Mix(DepthDataset):
 
 
 def _source(name: str, given: Mapping[str, Any], options: SampleOptions) -> Source | None:
-    unknown = set(given) - {"data", "weight", "relative", "balanced"}
+    unknown = set(given) - {"data", "weight", "relative"}
     if unknown or "data" not in given:
         raise ValueError(f"sources.{name}: give data, weight and relative, not {', '.join(sorted(given))}")
     weight = float(given.get("weight", 1.0))
@@ -147,30 +143,4 @@ def _source(name: str, given: Mapping[str, Any], options: SampleOptions) -> Sour
     frames = build(**{option: value for option, value in options.items() if own.get(option) is None})
     if frames.on_error == "skip":
         frames.leave_out_unreadable()
-    shares = _balanced(frames) if given.get("balanced") else None
-    return Source(frames, weight, bool(given.get("relative", False)), shares)
-
-
-def _balanced(frames: DepthDataset) -> "np.ndarray[Any, Any]":
-    """Shares of the frames that make ln of their median depth as evenly drawn as four times a share allows."""
-    frames.open_cache()
-    logs = []
-    for index in range(len(frames)):
-        frame = frames.load_frame(index)
-        depth = np.asarray(frame.depth)
-        logs.append(np.log(np.median(depth[np.isfinite(depth) & (depth > 0.1)])))
-    given = np.array(logs)
-    density = np.exp(-((given[:, None] - given[None]) ** 2) / (2 * 0.12**2)).mean(1)
-    shares = 1 / density
-    for _ in range(20):
-        shares = np.minimum(shares / shares.mean(), 4.0)
-    print(name_of(given, shares), flush=True)
-    return shares / shares.sum()
-
-
-def name_of(given: Any, shares: Any) -> str:
-    bins = np.quantile(given, [0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1])
-    return " ".join(
-        f"{np.exp(a):.2f}..{np.exp(b):.2f} m: {100 * shares[(given >= a) & (given <= b)].sum() / shares.sum():.0f} %"
-        for a, b in zip(bins, bins[1:])
-    )
+    return Source(frames, weight, bool(given.get("relative", False)))

@@ -119,7 +119,7 @@ class DepthPredictor:
             if self.device.type == "cuda":
                 check_torch_device("cuda")
                 full_fp32()  # as under other runtimes
-            self.model = (model if getattr(model.network, "camera", None) is not None else fold(model)).to(self.device).to(memory_format=torch.channels_last)
+            self.model = fold(model).to(self.device).to(memory_format=torch.channels_last)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy or another process needs: everything but the videos of the threads here."""
@@ -187,7 +187,6 @@ class DepthPredictor:
             ValueError: what the network answers is no depth.
         """
         size = (frame.shape[0], frame.shape[1])
-        self._focal = focal
         picture, (depth, *sigma), scale = self._maps(frame)
         check_depth(depth)
         spread = [each / depth for each in sigma]  # it stays what it is where depth changes
@@ -229,7 +228,6 @@ class DepthPredictor:
 
             with torch.inference_mode():
                 tensor = torch.from_numpy(as_image(image)).to(self.device)
-                self.model.lens = None if self._focal is None else torch.tensor([self._focal * seen])
                 found: Any = self.model.predict(tensor) if self.uncertainty else [self.model(tensor)]
                 maps = [each[0, 0].float().cpu().numpy() for each in found[: 1 + self.uncertainty]]
         return picture, [each[top:bottom, left:right] for each in maps], seen

@@ -44,10 +44,9 @@ def predict_depth(
 
     ``focal (B,)`` is fx [px of ``image``], 0 where unknown; models without ``canonical_px`` ignore it.
     """
-    given = {} if focal is None or not hasattr(model, "network") else {"lens": focal}
-    prediction = model(image, **given)
+    prediction = model(image)
     if flip == "mean":
-        prediction = 0.5 * (prediction + model(image.flip(-1), **given).flip(-1))
+        prediction = 0.5 * (prediction + model(image.flip(-1)).flip(-1))
     return in_meters(prediction, focal, getattr(model, "canonical_px", None))
 
 
@@ -56,10 +55,9 @@ def predict_spread(
     model: nn.Module, image: Tensor, focal: Tensor | None = None, *, flip: str = "none"
 ) -> tuple[Tensor, Tensor]:
     """Depth as :func:`predict_depth`, and the standard deviation of ln depth; ``(B, 1, h, w)`` each."""
-    given = {} if focal is None or not hasattr(model, "network") else {"lens": focal}
-    depth, spread = model(image, with_spread=True, **given)
+    depth, spread = model(image, with_spread=True)
     if flip == "mean":
-        mirrored = [each.flip(-1) for each in model(image.flip(-1), with_spread=True, **given)]
+        mirrored = [each.flip(-1) for each in model(image.flip(-1), with_spread=True)]
         depth, spread = 0.5 * (depth + mirrored[0]), 0.5 * (spread + mirrored[1])
     return in_meters(depth, focal, getattr(model, "canonical_px", None)), spread
 

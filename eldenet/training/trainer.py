@@ -271,7 +271,7 @@ class Trainer:
         with nullcontext() if update else self.accelerator.no_sync(self.model):
             with self.part("forward"), self.accelerator.autocast():
                 if self.loss.needs_spread:
-                    prediction, spread = self._network(batch["image"], with_spread=True, lens=batch["intrinsics"][:, 0, 0])
+                    prediction, spread = self._network(batch["image"], with_spread=True)
                 else:
                     prediction, spread = self._network(batch["image"]), None
             with self.part("loss"):
