@@ -24,7 +24,7 @@ from eldenet.uncertainty import DepthEstimate
 
 MOST_UNSURE = 0.85  # of a depth map: a robot that sees less stands still
 TURN = 2 * math.pi + 1e-6  # [rad], but for rounding
-FLOOR_FROM = 1.4  # [m]: where the picture shows the floor only from here on, low boxes were hit in simulation
+FLOOR_FROM = 1.4  # [m] before the lens: a picture should show the floor from here on at the latest
 SENT = round(MAX_LATENCY / ROBOT.period) + 1  # commands that are kept
 POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
 
@@ -280,7 +280,7 @@ def nearest_depth(depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 def _warn_of_floor_below(rows: int, matrix: np.ndarray, height: float, pitch: float) -> None:
     """Warn once where low things leave the picture below so far ahead that the robot forgets them."""
     down = pitch + math.atan((rows - 0.5 - matrix[1, 2]) / matrix[1, 1])  # of the lowest ray [rad]
-    if down <= 0 or height / math.tan(min(down, 1.5)) > FLOOR_FROM:
+    if down <= 0 or height / math.tan(down) > FLOOR_FROM:  # beyond straight down the tangent is below 0
         seen = f"only from {height / math.tan(down):.1f} m on" if down > 0 else "nowhere"
         warn_once(
             f"a camera {height:g} m high with camera_pitch={pitch:g} shows the floor {seen}, so low things "

@@ -78,13 +78,13 @@ def collapse(record: Mapping[str, Any]) -> str:
 
 def without_camera(train_set: DepthDataset) -> str:
     """Return the name of a frame in meters without intrinsics; "" if the first of each source has them."""
-    parts = in_meters(train_set)
+    parts = parts_in_meters(train_set)
     return next((part.names[0] for part in parts if part.load_frame(0).intrinsics is None), "")
 
 
 def out_of_range(train_set: DepthDataset) -> Iterator[str]:
     """Yield a warning for each source with most depth outside its range, judged by a few frames."""
-    for part in in_meters(train_set):
+    for part in parts_in_meters(train_set):
         some = range(0, len(part.names), -(-len(part.names) // LOOKED_AT))
         depth = np.concatenate([part.load_frame(index).depth.ravel() for index in some])
         depth = depth[depth > 0]
@@ -97,7 +97,7 @@ def out_of_range(train_set: DepthDataset) -> Iterator[str]:
             )
 
 
-def in_meters(train_set: DepthDataset) -> list[DepthDataset]:
+def parts_in_meters(train_set: DepthDataset) -> list[DepthDataset]:
     """Return the data set, or the sources of a mix whose depth is in meters."""
     if isinstance(train_set, Mix):
         return [source.frames for source in train_set.sources.values() if not source.relative]
