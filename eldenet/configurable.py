@@ -22,6 +22,7 @@ TRUSTED_MODULES = (
     "eldenet.heads",
     "eldenet.baselines",
     "eldenet.model",
+    "eldenet.ray_features",
     "eldenet.refinement",
 )
 LARGEST = 2**32  # of a whole number: numpy's seeds end there too

@@ -120,6 +120,7 @@ def page_facts(model: "DepthNet", checkpoint: str, size: tuple[int, int]) -> dic
         "name": Path(checkpoint).name,
         "size": list(size),
         "canonical_px": model.canonical_px,
+        "sees_rays": model.sees_rays,
         "stretch": float(model.info.get("stretch") or 1.0),
         "border": list(BORDER_COLOR),
         "license": str(model.info.get("license", "")),

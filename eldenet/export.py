@@ -201,14 +201,15 @@ def compare_with_torch(
     seen = [resize_image(picture, size) for picture, size in zip(pictures, sizes, strict=True)]
     outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
     with_sigma = "sigma" in outputs
+    lenses = [None if number % 2 else 0.9 * picture.shape[1] for number, picture in enumerate(seen)]
     reference = []
-    for picture in seen:
+    for picture, lens in zip(seen, lenses, strict=True):
         size = target.size if s.camera else (picture.shape[0], picture.shape[1])
         predictor = DepthPredictor(model, size, steady=False, uncertainty=with_sigma)
         if s.camera is None:
             predictor.stretch = 1.0  # these pictures have the file's size already
         # float32: resizing must not round to gray levels, as camera files do not
-        answer = predictor.estimate_unrounded(picture.astype(np.float32))
+        answer = predictor.estimate_unrounded(picture.astype(np.float32), lens)
         reference.append(answer if with_sigma else DepthEstimate(answer))
     rows, inputs = [], [as_input(picture, target) for picture in seen]
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
@@ -217,7 +218,7 @@ def compare_with_torch(
         except ValueError as error:
             log.say(f"not compared under {name}: {error}")
             continue
-        estimates = [network.predict(image) for image in inputs]
+        estimates = [network.predict(*given) for given in zip(inputs, lenses, strict=True)]
         for kind in outputs:
             ours = np.concatenate([getattr(estimate, kind)[0, 0].ravel() for estimate in estimates])
             theirs = np.concatenate([getattr(estimate, kind).ravel() for estimate in reference])

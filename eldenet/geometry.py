@@ -530,9 +530,16 @@ def in_meters(depth: "Tensor", focal: "float | Tensor | None", canonical_px: flo
     import torch
 
     focal = torch.as_tensor(focal, device=depth.device)
-    if focal.numel() not in (1, len(depth)):  # such as all intrinsics: depth would become a batch of maps
-        raise ValueError(f"focal has shape {tuple(focal.shape)}: give fx [px], a number or ({len(depth)},)")
+    if not torch.compiler.is_compiling():  # an export of any number of images would keep that of its example
+        check_one_per_image(focal, len(depth))
     return depth * focal_ratio(focal, canonical_px)
+
+
+def check_one_per_image(focal: "float | np.ndarray | Tensor", images: int) -> None:
+    """Raise ``ValueError`` unless ``focal`` is one number, or one for each of the images."""
+    shape = tuple(getattr(focal, "shape", ()))
+    if math.prod(shape) not in (1, images):  # such as all intrinsics: depth would become a batch of maps
+        raise ValueError(f"focal has shape {shape}: give fx [px], a number or ({images},)")
 
 
 def focal_ratio(focal: "Tensor", canonical_px: float) -> "Tensor":

@@ -14,8 +14,9 @@ from eldenet.backbones.base import Backbone
 from eldenet.backbones.weights import IMAGENET_MEAN, IMAGENET_STD, load_weights, read_weights, until_stalled
 from eldenet.configurable import Configurable, build
 from eldenet.decoders.base import Decoder
-from eldenet.geometry import in_meters
+from eldenet.geometry import check_one_per_image, in_meters
 from eldenet.heads import Head, add_channels
+from eldenet.ray_features import RayFeatures
 from eldenet.system.checks import check_largest, check_size
 from eldenet.system.digests import check_digests, with_digests
 from eldenet.system.files import read_json, write_bytes, write_text
@@ -34,21 +35,29 @@ class EncoderDecoder(Configurable, nn.Module):
         backbone: image ``(B, 3, H, W)``, normalized -> features, finest first.
         decoder: a decoder, or its class or a ``functools.partial`` of it (``_partial_: true`` in YAML), which
             gets ``feature_info`` from the backbone.
+        rays: optional, what tells the features the lens; given as the decoder.
     """
 
     def __init__(
         self,
         backbone: Backbone,
         decoder: Decoder | Callable[[Sequence[FeatureInfo]], Decoder] | type[Decoder],
+        rays: RayFeatures | Callable[[Sequence[FeatureInfo]], RayFeatures] | None = None,
     ) -> None:
         super().__init__()
         self.backbone = backbone
         self.decoder = decoder if isinstance(decoder, Decoder) else decoder(backbone.feature_info)
         self.config["decoder"] = self.decoder.config
+        self.rays = rays if rays is None or isinstance(rays, RayFeatures) else rays(backbone.feature_info)
+        if self.rays is not None:
+            self.config["rays"] = self.rays.config
 
-    def forward(self, image: Tensor) -> Tensor:
-        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)``."""
-        raw = self.decoder(self.backbone(image))
+    def forward(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
+        """Normalized image ``(B, 3, H, W)``, fx ``(B,)`` [px] for rays -> raw map ``(B, 1, h, w)``."""
+        features = self.backbone(image)
+        if self.rays is not None and focal is not None:
+            features = self.rays(features, image.shape[-2:], focal)
+        raw = self.decoder(features)
         rows, cols = (-(-side // self.decoder.stride) for side in image.shape[-2:])
         # decoders do not know the image size: a map finer than the finest feature may exceed an odd one. The
         # shapes alone would not do: an export at any size keeps the branch that its example takes
@@ -66,7 +75,7 @@ class DepthNet(Configurable, nn.Module):
     Args:
         network: normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, h, w)`` of any size. Where the head
             needs more channels, the network's last convolution gets them (see
-            :func:`~eldenet.heads.add_channels`).
+            :func:`~eldenet.heads.add_channels`). One with ``rays`` also takes fx ``(B,)`` [px].
         head: raw map -> meters (with ``canonical_focal``: canonical meters) within a range.
         refine: optional ``(depth, image) -> depth``, applied to the head's depth.
         canonical_focal: focal length of the canonical camera, in widths of the training's images; None: the
@@ -80,9 +89,11 @@ class DepthNet(Configurable, nn.Module):
             reads ``input_size`` and ``whole_frame_size``, both ``(height, width)`` [px]. Where the training
             squeezed frames, ``stretch`` is how many times wider it showed things than they are.
         canonical_px: focal length of the canonical camera [px]; None without ``canonical_focal``.
+        sees_rays: whether the network is told the focal length; others only have their depth scaled by it.
 
     Raises:
-        ValueError: ``canonical_focal`` or ``canonical_width`` is not above 0, or only one of them is given.
+        ValueError: ``canonical_focal`` or ``canonical_width`` is not above 0, or only one of them is given,
+            or neither for a network with ``rays``.
     """
 
     mean: Tensor
@@ -103,6 +114,9 @@ class DepthNet(Configurable, nn.Module):
         self.canonical_px = _canonical_px(canonical_focal, canonical_width)
         if head.channels > 1:
             add_channels(network, head.channels - 1)
+        self.sees_rays = getattr(network, "rays", None) is not None
+        if self.sees_rays and self.canonical_px is None:
+            raise ValueError("a network with rays needs canonical_focal: give it, such as 0.8")
         self.network, self.head, self.refine = network, head, refine
         self.info: dict[str, Any] = {}
         self._range_checked = False
@@ -116,10 +130,11 @@ class DepthNet(Configurable, nn.Module):
         decoder: Callable[[Sequence[FeatureInfo]], Decoder],
         head: Head,
         refine: nn.Module | None = None,
+        rays: Callable[[Sequence[FeatureInfo]], RayFeatures] | None = None,
         **options: Any,
     ) -> Self:
-        """Return ``DepthNet(EncoderDecoder(backbone, decoder), head)``, for the flat YAML files of models."""
-        return cls(EncoderDecoder(backbone, decoder), head, refine=refine, **options)
+        """Return ``DepthNet(EncoderDecoder(...), head)``, for the flat YAML files of models."""
+        return cls(EncoderDecoder(backbone, decoder, rays), head, refine=refine, **options)
 
     @property
     def distribution(self) -> str | None:
@@ -143,11 +158,20 @@ class DepthNet(Configurable, nn.Module):
             raise ValueError(f"image has shape {tuple(image.shape)}: give (B, 3, H, W)")
         if not image.is_floating_point():
             raise ValueError(f"image is {image.dtype}: give floats in [0, 1] (bytes divided by 255)")
-        if not self._range_checked and not torch.compiler.is_compiling() and not torch.jit.is_tracing():
+        exporting = torch.compiler.is_compiling() or torch.jit.is_tracing()
+        if not self._range_checked and not exporting:
             self._range_checked = True  # once: a look at the values makes the CPU wait for a GPU
             if image.numel() and image.device.type != "meta":
                 check_largest(float(image.detach().max()))
-        raw = self.network((image - self.mean) / self.std).float()
+        normalized = (image - self.mean) / self.std
+        if self.sees_rays and focal is not None:
+            lens = torch.as_tensor(focal, dtype=torch.float32, device=image.device)
+            if not exporting:
+                check_one_per_image(lens, len(image))
+                lens = lens.reshape(-1).expand(len(image))
+            raw = self.network(normalized, lens).float()
+        else:
+            raw = self.network(normalized).float()
         if raw.shape[-2:] != image.shape[-2:]:
             raw = F.interpolate(raw, size=image.shape[-2:], mode="bilinear", align_corners=False)
         depth = self.head.to_meters(raw)

@@ -57,6 +57,7 @@ OF_ROOMS = {"near", "down", "plain"}
 HIDDEN: dict[str, set[str]] = {
     "eldenet.model.DepthNet.from_parts": {
         "refine",  # chosen as a group: model/refine=joint_bilateral
+        "rays",  # the same
         "options",  # normalization, ImageNet's by default; the canonical camera, from canonical_focal
     },
     # the same, for whole networks

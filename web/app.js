@@ -1,6 +1,6 @@
 // The page: sources of frames, the two pictures, the scale, and the meters under the cursor.
 
-import { canonicalFocal, valueAt } from "./depth.js";
+import { canonicalFocal, metersPerUnit, valueAt } from "./depth.js";
 import { colorOf, paint, ticks, visibleRange } from "./colors.js";
 
 const MOST_PIXELS = 16e6; // of a photo: phones give up beyond
@@ -10,7 +10,7 @@ const photo = element("photo").getContext("2d", { willReadFrequently: true });
 const picture = element("depth").getContext("2d");
 const worker = new Worker("./worker.js", { type: "module" });
 
-// What is shown: the network, the last frame, its map of the canonical camera, the cursor in shares of the picture.
+// What is shown: the network, the last frame, its map, the cursor in shares of the picture.
 export const state = {
   network: null, threads: 1, frame: null, map: null, focal: null, range: null, point: [0.5, 0.5],
   frames: 0, times: [],
@@ -29,16 +29,11 @@ function say(text, wrong = false) {
 
 // --- meters ---
 
-// fx of the frame [px]: as the slider says, else of the canonical camera.
-function focal() {
-  const { frame } = state;
-  return state.focal === null ? canonical() : state.focal * Math.max(frame.width, frame.height);
-}
+// fx of a frame [px], as the slider says; null: the canonical camera's.
+const focal = ({ width, height }) => (state.focal === null ? null : state.focal * Math.max(width, height));
 
-const canonical = () => canonicalFocal(state.network, state.frame.width, state.map.width);
-
-// Depth of the canonical camera times this is meters.
-const factor = () => (state.network.canonical_px === null ? 1 : focal() / canonical());
+// The map times this is meters.
+const factor = () => metersPerUnit(state.network, state.frame.width, state.map.width, focal(state.frame));
 
 // Depth [m] at a pixel of the frame.
 export function metersAt(x, y) {
@@ -86,7 +81,7 @@ function showScale() {
 function showFocal() {
   if (state.network.canonical_px === null) return;
   const { frame } = state;
-  const pixels = focal();
+  const pixels = focal(frame) ?? canonicalFocal(state.network, frame.width, state.map.width);
   const view = (2 * Math.atan(frame.width / 2 / pixels) * 180) / Math.PI;
   const kind = state.focal === null ? " (the network's own camera)" : "";
   element("focal").value = pixels / Math.max(frame.width, frame.height);
@@ -121,7 +116,7 @@ async function predict(drawable, width, height, mine) {
   next.drawImage(drawable, 0, 0, size.width, size.height);
   const frame = next.getImageData(0, 0, size.width, size.height);
   const answered = answer();
-  worker.postMessage({ data: frame.data, ...size });
+  worker.postMessage({ data: frame.data, ...size, focal: focal(size) });
   const { map, inference, whole, error } = await answered;
   if (error) say(error, true);
   if (error || mine !== source) return false;
@@ -248,10 +243,16 @@ function connect() {
 }
 
 // Focal length in longer sides of the picture; null: the canonical camera's.
-export function setFocal(sides) {
+export async function setFocal(sides) {
   state.focal = sides;
   state.range = null;
-  show();
+  const { canvas } = photo;
+  // a network that sees the lens looks again; in a video at the next frame
+  if (state.network.sees_rays && element("stop").hidden) {
+    await begin((mine) => predict(canvas, canvas.width, canvas.height, mine));
+  } else {
+    show();
+  }
 }
 
 async function start() {

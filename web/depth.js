@@ -149,6 +149,21 @@ export function valueAt(map, size, x, y) {
   return upper + (along(bottom) - upper) * (row - top);
 }
 
+// What the session takes. A network that sees rays is told fx [px of the frame], and answers in meters; null: for
+// the canonical camera. Others always answer with depth of the canonical camera.
+export function inputs(ort, network, image, frame, box, focal) {
+  const given = { image: new ort.Tensor("float32", image, [1, 3, ...network.size]) };
+  const seen = ((focal ?? 0) * box.width) / frame.width; // 0: unknown
+  if (network.sees_rays) given.focal = new ort.Tensor("float32", [seen], [1]);
+  return given;
+}
+
+// Meters per unit of the network's map, for fx [px of the frame].
+export function metersPerUnit(network, frameWidth, boxWidth, focal) {
+  if (network.canonical_px === null || network.sees_rays || focal === null) return 1;
+  return focal / canonicalFocal(network, frameWidth, boxWidth);
+}
+
 // fx [px of the frame] that the network assumes if none is given; null if it knows no focal lengths.
 export function canonicalFocal(network, frameWidth, boxWidth) {
   return network.canonical_px === null ? null : (network.canonical_px * frameWidth) / boxWidth;

@@ -1,7 +1,7 @@
 // The network, in a thread of its own so that the page stays responsive.
 
 import * as ort from "./runtime/ort.wasm.bundle.min.mjs";
-import { cutOut, prepare } from "./depth.js";
+import { cutOut, inputs, prepare } from "./depth.js";
 
 const MOST_THREADS = 4;
 const threads = self.crossOriginIsolated ? Math.min(MOST_THREADS, navigator.hardwareConcurrency || 1) : 1;
@@ -46,16 +46,15 @@ async function load(...names) {
   return Promise.all(answers.map(read));
 }
 
-// In: a frame {data, width, height}. Out: its depth map of the canonical camera, the network's milliseconds and
-// those with the resize.
+// In: a frame {data, width, height, focal}, with fx [px] or null. Out: its depth map (see depth.js, `inputs`), the
+// network's milliseconds and those with the resize.
 self.onmessage = async ({ data: frame }) => {
   try {
     const { network, session } = await started;
     const begin = performance.now();
     const { image, box } = prepare(frame, network);
     const ready = performance.now();
-    const input = new ort.Tensor("float32", image, [1, 3, ...network.size]);
-    const { depth } = await session.run({ [session.inputNames[0]]: input });
+    const { depth } = await session.run(inputs(ort, network, image, frame, box, frame.focal));
     const end = performance.now();
     const map = cutOut(depth.data, box, network.size[1]);
     self.postMessage({ map, inference: end - ready, whole: end - begin });

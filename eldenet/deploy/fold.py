@@ -38,18 +38,23 @@ def fold(model: DepthNet) -> DepthNet:
         for name, child in list(part.named_children()):
             if isinstance(child, UpConv2d):
                 setattr(part, name, merge_upconv(child.weight, None))
-    folded.network = nn.Sequential(folded.network, _Unblock())
+    folded.network = _Unblocked(folded.network)
     return folded.requires_grad_(False)
 
 
-class _Unblock(nn.Module):
-    """Changes nothing: ``(B, C, h, w) -> (B, C, h, w)``.
+class _Unblocked(nn.Module):
+    """A network whose raw map ``(B, C, h, w)`` goes through two operations that change nothing.
 
     ONNX Runtime keeps channels in blocks of 16 until an operation does not support blocks. A raw map has one
     or two channels, so resizing it in blocks would take 16 or 8 times the work.
     """
 
-    def forward(self, raw: Tensor) -> Tensor:
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, image: Tensor, *focal: Tensor) -> Tensor:
+        raw: Tensor = self.network(image, *focal)
         return raw.squeeze(1).unsqueeze(1) if raw.shape[1] == 1 else raw.unsqueeze(1).squeeze(1)
 
 

@@ -48,7 +48,7 @@ def describe(
     from eldenet.evaluation.cost import count_macs, count_params
 
     height, width = camera_size or size
-    canonical = model.canonical_px is not None
+    scaled = model.canonical_px is not None and not model.sees_rays
     seen = f"the frame x {size[1]} / {width}" if camera_size else "the network's image"
     takes = "uint8 RGB frame (B, H, W, 3)" if camera_size else "float RGB image (B, 3, H, W) in [0, 1]"
     return {
@@ -57,16 +57,17 @@ def describe(
         "output": (
             f"canonical depth (B, 1, H, W); meters = depth x fx [px of {seen}] / "
             "(canonical_focal x canonical_width)"
-            if canonical
+            if scaled
             else "depth (B, 1, H, W) in meters"
         ),
-        "units": "canonical meters" if canonical else "meters",
+        "units": "canonical meters" if scaled else "meters",
         "distribution": json.dumps(model.distribution),
         "min_depth": str(model.head.min_depth),
         "max_depth": str(model.head.max_depth),
         **canonical_camera(model),
         "license": license or str(model.info.get("license", "not stated")),
-        "input": f"{takes}, H = {height}, W = {width}; normalization is inside",
+        "input": f"{takes}, H = {height}, W = {width}; normalization is inside"
+        + "; focal (B,): fx [px of that image], 0 = the canonical camera's" * model.sees_rays,
         "input_size": json.dumps(list(size)),
         "whole_frame_size": json.dumps(model.info.get("whole_frame_size")),
         "stretch": json.dumps(model.info.get("stretch")),

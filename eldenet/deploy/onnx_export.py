@@ -1,5 +1,6 @@
 """Networks as ONNX files: the graph around the network, the opset, and int8 by quantization."""
 
+import json
 import logging
 import tempfile
 import warnings
@@ -17,6 +18,7 @@ from torch import Tensor, nn
 from eldenet import __version__
 from eldenet.deploy.fold import fold
 from eldenet.deploy.metadata import BLANK, DIGEST, PREFIX, PRODUCER, read_metadata, sealed
+from eldenet.deploy.runtimes.base import FOCAL
 from eldenet.geometry import same_aspect, size_of_aspect
 from eldenet.model import DepthNet
 from eldenet.system.errors import first_line
@@ -30,6 +32,8 @@ NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older
 OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 AXES = {"batch": 0, "height": 2, "width": 3}  # of images (B, 3, H, W)
 LEAST = {"batch": 1, "height": 16, "width": 16}
+FACTS = ("canonical_focal", "canonical_width", "camera_size", "input_size")
+LENSES = (0.7, 1.0, 1.4)  # of int8's calibration, in canonical focal lengths
 
 
 def write_onnx(
@@ -63,7 +67,7 @@ def write_onnx(
     if (batch is not None and batch < 1) or min(size) < 1:
         raise ValueError(f"batch={batch}, size={list(size)}: give numbers above 0, or batch=null")
     network: nn.Module = fold(model).cpu()
-    outputs = ["depth"]
+    outputs, lens = ["depth"], [torch.full((batch or 2,), 0.8 * size[1])] * model.sees_rays
     if model.distribution is not None:
         network, outputs = SigmaNet(network), ["depth", "sigma"]  # type: ignore[arg-type]
     name, example = "image", torch.rand(batch or 2, 3, *size)
@@ -79,7 +83,8 @@ def write_onnx(
     try:
         with quiet(), torch.no_grad():
             axes = ["batch"] * (batch is None) + ["height", "width"] * any_size
-            graph = _to_onnx(network.eval(), example, [name, *outputs], axes, opset)
+            inputs = [name] + [FOCAL] * model.sees_rays
+            graph = _to_onnx(network.eval(), (example, *lens), (inputs, outputs), axes, opset)
     except RuntimeError as error:  # base class of the exporter's errors
         what = " at any size" * any_size
         raise ValueError(f"opset={opset} cannot express this network{what}: {first_line(error)}") from error
@@ -87,23 +92,28 @@ def write_onnx(
 
 
 def _to_onnx(
-    network: nn.Module, example: Tensor, ports: list[str], axes: Sequence[str], opset: int
+    network: nn.Module,
+    examples: tuple[Tensor, ...],
+    ports: tuple[list[str], list[str]],
+    axes: Sequence[str],
+    opset: int,
 ) -> "onnx.ModelProto":
-    """The graph; ``axes`` of its input may have any length."""
+    """The graph, whose inputs and outputs are named ``ports``; ``axes`` of its images may have any length."""
     import onnx
 
-    names: dict[str, Any] = {"input_names": ports[:1], "output_names": ports[1:], "opset_version": opset}
+    names: dict[str, Any] = {"input_names": ports[0], "output_names": ports[1], "opset_version": opset}
     if opset == NEWEST_OPSET:
-        shapes = ({AXES[name]: torch.export.Dim(name, min=LEAST[name], max=4096) for name in axes},)
+        dims = {AXES[name]: torch.export.Dim(name, min=LEAST[name], max=4096) for name in axes}
+        shapes = (dims, *[{key: dim for key, dim in dims.items() if key == 0} for _ in examples[1:]])
         program: Any = torch.onnx.export(
-            network, (example,), dynamo=True, dynamic_shapes=shapes if axes else None, verbose=False, **names
+            network, examples, dynamo=True, dynamic_shapes=shapes if axes else None, verbose=False, **names
         )
         return program.model_proto
     content: Any = BytesIO()
     if "height" in axes:
         raise RuntimeError(f"any size needs opset={NEWEST_OPSET}")
-    lengths = {port: {0: "batch"} for port in ports} if axes else None
-    torch.onnx.export(network, (example,), content, dynamo=False, dynamic_axes=lengths, **names)
+    lengths = {port: {0: "batch"} for port in ports[0] + ports[1]} if axes else None
+    torch.onnx.export(network, examples, content, dynamo=False, dynamic_axes=lengths, **names)
     return onnx.load_from_string(content.getvalue())
 
 
@@ -127,14 +137,15 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
     what comes before the second convolution: eight bits of the normalized picture cost the most accuracy
     (``experiments/bench``).
 
-    ``inputs`` are calibration batches, as the graph takes them.
+    ``inputs`` are calibration batches, as the graph takes them. What comes of the focal length alone, the
+    rays, stays fp32: eight bits of them would move the scale of a picture.
     """
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
     from onnxruntime.quantization.shape_inference import quant_pre_process
 
     class Reader(CalibrationDataReader):
-        def __init__(self, name: str) -> None:
-            self.feeds = iter([{name: value} for value in inputs])
+        def __init__(self) -> None:
+            self.feeds = iter(calibration_feeds(source, inputs))
 
         def get_next(self) -> dict[str, np.ndarray] | None:
             return next(self.feeds, None)
@@ -143,13 +154,19 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
         prepared, quantized = Path(folder) / "prepared.onnx", Path(folder) / "int8.onnx"
         quant_pre_process(str(source), str(prepared), skip_symbolic_shape=True)
         graph = read_graph(prepared).graph
-        kinds = [node.op_type for node in graph.node]
-        stem = [node.name for node in graph.node[: kinds.index("Conv") + 1]] if "Conv" in kinds else []
+        seen, of_image = {graph.input[0].name}, []  # what depends on the image, and the nodes that do
+        for node in graph.node:
+            if seen.intersection(node.input):
+                seen.update(node.output)
+                of_image.append(node)
+        kinds = [node.op_type for node in of_image]
+        stem = of_image[: kinds.index("Conv") + 1] if "Conv" in kinds else []
+        rays = [node for node in graph.node if not seen.intersection(node.output)]
         quantize_static(
             str(prepared),
             str(quantized),
-            Reader(graph.input[0].name),
-            nodes_to_exclude=stem,
+            Reader(),
+            nodes_to_exclude=[node.name for node in (*stem, *rays)],
             quant_format=QuantFormat.QDQ,
             op_types_to_quantize=["Conv", "MatMul"],
             per_channel=True,
@@ -157,6 +174,20 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
             weight_type=QuantType.QInt8,
         )
         return write_graph(read_graph(quantized), Path(path), {**read_metadata(source), "precision": "int8"})
+
+
+def calibration_feeds(source: str | Path, inputs: Sequence[np.ndarray]) -> list[dict[str, np.ndarray]]:
+    """Calibration batches by the name of the file's input; with lenses about the canonical one for rays."""
+    ports = [port.name for port in read_graph(source).graph.input]
+    feeds = [{ports[0]: value} for value in inputs]
+    if FOCAL in ports:
+        facts = {name: json.loads(value) for name, value in read_metadata(source).items() if name in FACTS}
+        usual = facts["canonical_focal"] * facts["canonical_width"]
+        if facts["camera_size"]:
+            usual *= facts["camera_size"][1] / facts["input_size"][1]
+        for number, feed in enumerate(feeds):
+            feed[FOCAL] = np.full(len(feed[ports[0]]), usual * LENSES[number % len(LENSES)], np.float32)
+    return feeds
 
 
 @contextmanager
@@ -179,9 +210,9 @@ class SigmaNet(nn.Module):
         super().__init__()
         self.model = model
 
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """``image (B, 3, H, W)`` -> depth and sigma ``(B, 1, H, W)`` [m] each."""
-        estimate = self.model.predict(image)
+    def forward(self, image: Tensor, focal: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """``image (B, 3, H, W)``, fx ``(B,)`` [px] -> depth and sigma ``(B, 1, H, W)`` [m] each."""
+        estimate = self.model.predict(image, focal)
         return estimate.depth, estimate.sigma
 
 
@@ -212,12 +243,16 @@ class CameraNet(nn.Module):
         self.register_buffer("rows", rows)
         self.register_buffer("cols", cols.T.contiguous())
 
-    def forward(self, frame: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """``frame (B, H, W, 3)`` uint8 RGB -> depth ``(B, 1, H, W)`` [m], or the maps of the model."""
+    def forward(self, frame: Tensor, focal: Tensor | None = None) -> Tensor | tuple[Tensor, ...]:
+        """``frame (B, H, W, 3)`` uint8 RGB -> depth ``(B, 1, H, W)`` [m], or the maps of the model.
+
+        ``focal (B,)`` is fx [px of ``frame``], for a model that sees rays.
+        """
         image = frame.permute(0, 3, 1, 2).float()
         if self.camera_size != self.input_size:
             image = self.resized(image)
-        maps = self.model(image / 255.0)
+        lens = [] if focal is None else [focal * (self.input_size[1] / self.camera_size[1])]
+        maps = self.model(image / 255.0, *lens)
         if isinstance(maps, tuple):
             return tuple(self.enlarged(each) for each in maps)
         return self.enlarged(maps)

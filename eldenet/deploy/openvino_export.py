@@ -49,27 +49,35 @@ def write_openvino(source: str | Path, path: str | Path, metadata: Mapping[str, 
 def quantize_openvino(
     source: str | Path, path: str | Path, inputs: Sequence[np.ndarray], metadata: Mapping[str, str]
 ) -> Path:
-    """Turn fp32 ONNX or OpenVINO IR into int8 OpenVINO IR with nncf; the first convolution stays fp32.
+    """Turn an fp32 ONNX file into int8 OpenVINO IR with nncf; the first convolution and rays stay fp32.
 
     Raises:
         ImportError: nncf is not installed.
     """
-    from eldenet.deploy.onnx_export import quiet
+    from eldenet.deploy.onnx_export import calibration_feeds, quiet
 
     decline_telemetry()
     require("int8 for OpenVINO", "nncf")
     with quiet():
         import nncf
     network = openvino_core().read_model(str(source))
-    convolutions = [op for op in network.get_ordered_ops() if op.get_type_name() == "Convolution"]
-    stem = [op.get_friendly_name() for op in convolutions[:1]]
+    seen = {network.inputs[0].get_node().get_friendly_name()}  # what depends on the image
+    stem: list[str] = []
+    rays: list[str] = []
+    for op in network.get_ordered_ops():
+        name, is_conv = op.get_friendly_name(), op.get_type_name() == "Convolution"
+        if any(port.get_node().get_friendly_name() in seen for port in op.input_values()):
+            seen.add(name)
+            stem += [name] * (is_conv and not stem)
+        elif is_conv:
+            rays.append(name)
     with quiet():
         quantized = nncf.quantize(
             network,
-            nncf.Dataset(list(inputs)),
+            nncf.Dataset(calibration_feeds(source, inputs)),
             preset=nncf.QuantizationPreset.MIXED,  # hard swish is not symmetric
             subset_size=len(inputs),
-            ignored_scope=nncf.IgnoredScope(names=stem) if stem else None,
+            ignored_scope=nncf.IgnoredScope(names=stem + rays) if stem else None,
         )
     return _save(quantized, Path(path), {**metadata, "precision": "int8"})
 

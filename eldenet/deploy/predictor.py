@@ -187,24 +187,21 @@ class DepthPredictor:
             ValueError: what the network answers is no depth.
         """
         size = (frame.shape[0], frame.shape[1])
-        picture, (depth, *sigma), scale = self._maps(frame)
+        if focal is not None and self.canonical_px is None and not self._said:
+            self._said = True
+            logging.getLogger("eldenet").warning(NO_FOCAL)
+        picture, (depth, *sigma) = self._maps(frame, focal)
         check_depth(depth)
         spread = [each / depth for each in sigma]  # it stays what it is where depth changes
         if self.steady:
             depth = self._filter_of((size, focal))(picture, depth)
-        if focal is not None:
-            if self.canonical_px is not None:
-                depth = depth * np.float32(focal * scale / self.canonical_px)
-            elif not self._said:
-                self._said = True
-                logging.getLogger("eldenet").warning(NO_FOCAL)
         if self.sharp:
             depth = sharpen(depth, frame)
         depth, *spread = (each if each.shape == size else enlarged(each, size) for each in (depth, *spread))
         return DepthEstimate(depth, depth * spread[0], self.model.distribution) if spread else depth
 
-    def _maps(self, frame: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], float]:
-        """The frame, its depth and sigma at the network's own size, and that size in widths of the frame."""
+    def _maps(self, frame: np.ndarray, focal: float | None) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The frame, and its depth and sigma [m], at the network's own size."""
         height, width = frame.shape[:2]
         camera = self.model.camera_size if isinstance(self.model, Runtime) else None
         size = camera or self.size_for(height, width)
@@ -216,21 +213,21 @@ class DepthPredictor:
             image = filled
         if camera is None and size != self.input_size:
             image = padded(image)
-        seen = (right - left) / width
+        lens = None if focal is None else focal * (right - left) / width
         if isinstance(self.model, Runtime):
-            if camera is not None and self.model.fixed_size is not None:
-                seen *= self.model.fixed_size[1] / camera[1]
             given = image[None] if camera else as_image(image)
-            estimate: Any = self.model.predict(given) if self.uncertainty else [self.model(given)]
+            estimate: Any = self.model.predict(given, lens) if self.uncertainty else [self.model(given, lens)]
             maps = [each[0, 0] for each in estimate[: 1 + self.uncertainty]]
         else:
             import torch
 
             with torch.inference_mode():
                 tensor = torch.from_numpy(as_image(image)).to(self.device)
-                found: Any = self.model.predict(tensor) if self.uncertainty else [self.model(tensor)]
+                found: Any = (
+                    self.model.predict(tensor, lens) if self.uncertainty else [self.model(tensor, lens)]
+                )
                 maps = [each[0, 0].float().cpu().numpy() for each in found[: 1 + self.uncertainty]]
-        return picture, [each[top:bottom, left:right] for each in maps], seen
+        return picture, [each[top:bottom, left:right] for each in maps]
 
     def _filter_of(self, camera: tuple[tuple[int, int], float | None]) -> SteadyFilter:
         """The filter of this thread's video; another camera (frame size and fx) starts a new video."""

@@ -48,8 +48,13 @@ def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
 
     image = _image(model, 1, size)
     with eval_mode(model), FlopCounterMode(display=False) as counter, torch.inference_mode():
-        model(image)
+        model(image, *_camera(model))
     return counter.get_total_flops() // 2
+
+
+def _camera(model: nn.Module) -> tuple[float, ...]:
+    """What a model that sees rays is given after the image, so that they are counted: fx [px]."""
+    return (float(model.canonical_px),) if getattr(model, "sees_rays", False) else ()  # type: ignore[arg-type]
 
 
 def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
@@ -89,9 +94,10 @@ def measure_cost(
     one, many = (
         _image(model, number, size).contiguous(memory_format=torch.channels_last) for number in (1, batch)
     )
+    camera = _camera(model)
     with eval_mode(model), torch.inference_mode(), Waiting() as waiting:
         times = time_interleaved(
-            {"one": lambda: model(one), "many": lambda: model(many)},
+            {"one": lambda: model(one, *camera), "many": lambda: model(many, *camera)},
             seconds=seconds / 5,  # five rounds
             synchronize=torch.cuda.synchronize if device.type == "cuda" else None,
         )

@@ -15,7 +15,6 @@ from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.geometry import in_meters
 from eldenet.model import eval_mode
 
 if TYPE_CHECKING:
@@ -44,10 +43,9 @@ def predict_depth(
 
     ``focal (B,)`` is fx [px of ``image``], 0 where unknown; models without ``canonical_px`` ignore it.
     """
-    prediction = model(image)
-    if flip == "mean":
-        prediction = 0.5 * (prediction + model(image.flip(-1)).flip(-1))
-    return in_meters(prediction, focal, getattr(model, "canonical_px", None))
+    camera = _camera(model, focal)
+    depth: Tensor = model(image, *camera)
+    return 0.5 * (depth + model(image.flip(-1), *camera).flip(-1)) if flip == "mean" else depth
 
 
 @torch.inference_mode()
@@ -55,11 +53,18 @@ def predict_spread(
     model: nn.Module, image: Tensor, focal: Tensor | None = None, *, flip: str = "none"
 ) -> tuple[Tensor, Tensor]:
     """Depth as :func:`predict_depth`, and the standard deviation of ln depth; ``(B, 1, h, w)`` each."""
-    depth, spread = model(image, with_spread=True)
+    camera = _camera(model, focal)
+    depth, spread = model(image, *camera, with_spread=True)
     if flip == "mean":
-        mirrored = [each.flip(-1) for each in model(image.flip(-1), with_spread=True)]
+        mirrored = [each.flip(-1) for each in model(image.flip(-1), *camera, with_spread=True)]
         depth, spread = 0.5 * (depth + mirrored[0]), 0.5 * (spread + mirrored[1])
-    return in_meters(depth, focal, getattr(model, "canonical_px", None)), spread
+    return depth, spread
+
+
+def _camera(model: nn.Module, focal: Tensor | None) -> tuple[Tensor, ...]:
+    """What ``model`` is given after the image: the focal lengths, if it takes them."""
+    takes = focal is not None and getattr(model, "canonical_px", None) is not None
+    return (focal,) if takes else ()  # type: ignore[return-value]
 
 
 def evaluate(
@@ -77,9 +82,9 @@ def evaluate(
     On CUDA, call :func:`eldenet.system.resources.full_fp32` first, as the commands do, to turn TF32 off.
 
     Args:
-        model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m], canonical depth if it has
-            ``canonical_px``; its mode is kept. If it has a ``distribution``, ``model(image,
-            with_spread=True)`` also gives the standard deviation of ln depth, which is scored too.
+        model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m]; its mode is kept. One with
+            ``canonical_px`` also takes the focal length ``(B,)`` [px]. If it has a ``distribution``,
+            ``model(..., with_spread=True)`` also gives the standard deviation of ln depth, which is scored.
         dataset: built for evaluation (depth in its own resolution).
         protocol: the rules.
         device: where the model is.

@@ -12,7 +12,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from eldenet.geometry import in_meters
 from eldenet.losses.base import Autocast, Loss, LossInputs, WeightedTerm
 from eldenet.system.digests import digest_of, weights_of
 
@@ -57,9 +56,9 @@ class Teacher:
                 image, size=self.input_size, mode="bilinear", align_corners=False, antialias=shrinks
             )
             focal = None if focal is None else focal * (self.input_size[1] / size[1])
+        takes_focal = getattr(self.network, "canonical_px", None) is not None
         with self.autocast():
-            depth = self.network(image).float()
-        depth = in_meters(depth, focal, getattr(self.network, "canonical_px", None))
+            depth = (self.network(image, focal) if takes_focal else self.network(image)).float()
         if depth.shape[-2:] != size:
             depth = F.interpolate(depth, size=size, mode="bilinear", align_corners=False)
         return depth

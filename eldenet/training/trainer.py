@@ -19,7 +19,7 @@ from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.evaluator import evaluate_batches, sample_rows
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.geometry import focal_ratio, in_meters
+from eldenet.geometry import focal_ratio
 from eldenet.losses.base import LossInputs, WeightedSum, masked_mean
 from eldenet.model import DepthNet
 from eldenet.results.loggers import LOGGERS
@@ -270,10 +270,11 @@ class Trainer:
         # DDP adds up the gradients of all processes once per update
         with nullcontext() if update else self.accelerator.no_sync(self.model):
             with self.part("forward"), self.accelerator.autocast():
+                given = batch["image"], batch["intrinsics"][:, 0, 0]
                 if self.loss.needs_spread:
-                    prediction, spread = self._network(batch["image"], with_spread=True)
+                    prediction, spread = self._network(*given, with_spread=True)
                 else:
-                    prediction, spread = self._network(batch["image"]), None
+                    prediction, spread = self._network(*given), None
             with self.part("loss"):
                 total, terms = self._losses(batch, prediction, spread)
             with self.part("backward"):
@@ -292,12 +293,11 @@ class Trainer:
         """Return the loss, a scalar, and ``mse`` [m²] and the loss's terms by name."""
         depth, focal = batch["depth"], batch["intrinsics"][:, 0, 0]
         canonical_px = self.bare_model.canonical_px
-        mse = squared_error(in_meters(prediction.detach(), focal, canonical_px), batch)
+        mse = squared_error(prediction.detach(), batch)
         if canonical_px is not None and self.loss_camera == "canonical":
-            depth = depth / focal_ratio(focal, canonical_px)
+            ratio = focal_ratio(focal, canonical_px)
+            depth, prediction = depth / ratio, prediction / ratio
             focal = torch.full_like(focal, canonical_px)
-        else:
-            prediction = in_meters(prediction, focal, canonical_px)
         relative = batch.get("relative")
         total, terms = self._criterion(
             LossInputs(prediction, depth, batch["mask"], batch["image"], focal, relative, spread)

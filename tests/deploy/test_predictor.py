@@ -163,7 +163,7 @@ class Answers(Runtime):
         super().__init__("fp32", 1, "cpu", {"input_size": "[16, 16]"})
         self.answer = answer
 
-    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
+    def run_maps(self, images: np.ndarray, focal: np.ndarray | None = None) -> list[np.ndarray]:
         return [self.answer]
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from eldenet.geometry import check_one_per_image
 from eldenet.system.checks import check_largest, check_size, one_of
 from eldenet.system.errors import reading
 from eldenet.system.files import parse_json
@@ -15,15 +16,17 @@ from eldenet.uncertainty import DepthEstimate
 if TYPE_CHECKING:
     from torch import Tensor
 
+    Focal = float | np.ndarray | Tensor | None
+
+FOCAL = "focal"  # name of the second input of files whose network sees rays
 PRECISIONS = ("fp32", "bf16", "fp16", "int8")
 
 
 class Runtime:
     """A network ready to run: ``(B, 3, H, W)`` float RGB in [0, 1] -> ``(B, 1, H, W)`` [m].
 
-    If it has ``canonical_px``, the output is canonical depth, and meters = output x fx / ``canonical_px``,
-    with fx in pixels of the image that the network sees. One with a ``distribution`` also predicts its sigma,
-    see :meth:`predict`.
+    If it has ``canonical_px``, meters depend on the focal length, which a call may be given. One with a
+    ``distribution`` also predicts its sigma, see :meth:`predict`.
 
     A file exported with ``camera=[h,w]`` takes the camera's frames, ``(B, H, W, 3)`` uint8 RGB, instead.
     Several threads may call one runtime: each gets the depth of its own images.
@@ -43,8 +46,9 @@ class Runtime:
         takes_frames: whether it takes uint8 frames.
         whole_frame_size: ``(height, width)`` [px] of a whole frame at the training's scale; None: it did not
             crop.
-        canonical_px: focal length of the canonical camera [px]; None: the output is in meters of the
-            training's lens.
+        canonical_px: focal length of the canonical camera [px]; None: it ignores focal lengths, and meters
+            are those of the training's lens.
+        sees_rays: whether the network itself takes the focal length; others only have their depth scaled.
         max_depth: largest depth that the network can predict [m]; None: not stated.
         distribution: of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma.
         params: number of weights, or None.
@@ -66,8 +70,9 @@ class Runtime:
         metadata: Mapping[str, str],
         source: object = "metadata",
         shape: Sequence[Any] = (None, 3, None, None),
+        sees_rays: bool = False,
     ) -> None:
-        self.precision, self.threads, self.device = precision, threads, device
+        self.precision, self.threads, self.device, self.sees_rays = precision, threads, device, sees_rays
         self.metadata = dict(metadata)
         self.shape = tuple(side if isinstance(side, int) else None for side in shape)
         self.fixed_batch = self.shape[0] if self.shape else None
@@ -109,12 +114,15 @@ class Runtime:
             raise ValueError(f"{name} is {value!r}, but must be null or a number above 0")
         return value
 
-    def run(self, images: np.ndarray) -> np.ndarray:
+    def run(self, images: np.ndarray, focal: np.ndarray | None = None) -> np.ndarray:
         """Run arrays that :meth:`__call__` has checked."""
-        return self.run_maps(images)[0]
+        return self.run_maps(images, focal)[0]
 
-    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
-        """Depth of checked arrays, and sigma if the network predicts it."""
+    def run_maps(self, images: np.ndarray, focal: np.ndarray | None = None) -> list[np.ndarray]:
+        """Depth of checked arrays, and sigma if the network predicts it.
+
+        ``focal (B,)`` is for a network that sees rays, which answers in meters; others in canonical ones.
+        """
         raise NotImplementedError
 
     def prepared(self, images: np.ndarray) -> Any:
@@ -129,34 +137,53 @@ class Runtime:
         """Wait for the device."""
 
     @overload
-    def __call__(self, images: np.ndarray) -> np.ndarray: ...
+    def __call__(self, images: np.ndarray, focal: "Focal" = None) -> np.ndarray: ...
     @overload
-    def __call__(self, images: "Tensor") -> "Tensor": ...
-    def __call__(self, images: "np.ndarray | Tensor") -> "np.ndarray | Tensor":
+    def __call__(self, images: "Tensor", focal: "Focal" = None) -> "Tensor": ...
+    def __call__(self, images: "np.ndarray | Tensor", focal: "Focal" = None) -> "np.ndarray | Tensor":
         """Return meters as an array for an array, and as a tensor on its device for a tensor.
 
+        Args:
+            images: float32 RGB in [0, 1], or uint8 frames.
+            focal: fx [px of ``images``], a number or ``(B,)``; 0, NaN and None: the canonical camera's.
+
         Raises:
-            ValueError: this network takes images of another shape, type or range, or does not answer with
-                depth.
+            ValueError: this network takes images of another shape, type or range, another number of focal
+                lengths, or does not answer with depth.
         """
-        depth = self.run(self._checked(images))
-        check_depth(depth)
+        (depth,) = self._meters(images, focal, self.run)
         if isinstance(images, np.ndarray):
             return depth
         import torch
 
         return torch.from_numpy(depth).to(images.device)
 
-    def predict(self, images: np.ndarray) -> DepthEstimate:
-        """Depth and sigma ``(B, 1, H, W)`` in the output's unit; sigma is None if the network predicts none.
+    def predict(self, images: np.ndarray, focal: "Focal" = None) -> DepthEstimate:
+        """Depth and sigma ``(B, 1, H, W)`` [m]; sigma is None if the network predicts none.
 
-        Raises:
-            ValueError: this network takes images of another shape, type or range, or does not answer with
-                depth.
+        Arguments and errors are those of a call.
         """
-        depth, *sigma = self.run_maps(self._checked(images))
-        check_depth(depth)
+        depth, *sigma = self._meters(images, focal, self.run_maps)
         return DepthEstimate(depth, sigma[0] if sigma else None, self.distribution)
+
+    def _meters(self, images: Any, focal: Any, run: Callable[..., Any]) -> list[np.ndarray]:
+        """What ``run`` answers, a map or several, in meters."""
+        checked = self._checked(images)
+        lens = None
+        if focal is not None and self.canonical_px is not None:
+            check_one_per_image(focal, len(checked))
+            given = np.asarray(focal, np.float32).reshape(-1)
+            lens = np.broadcast_to(np.where(given > 0, given, 0), len(checked)).astype(np.float32)
+        found = run(checked, lens) if self.sees_rays else run(checked)
+        maps = found if isinstance(found, list) else [found]
+        check_depth(maps[0])
+        if lens is None or self.sees_rays:
+            return maps
+        # a file that takes frames reduces them: its network sees fewer pixels
+        seen = self.fixed_size[1] / self.camera_size[1] if self.camera_size and self.fixed_size else 1.0
+        ratio = lens * np.float32(seen / self.canonical_px)  # type: ignore[operator]
+        ratio = np.where(ratio > 0, ratio, np.float32(1)).reshape(-1, 1, 1, 1)
+        return [each * ratio for each in maps]
 
     def _checked(self, images: "np.ndarray | Tensor") -> np.ndarray:
         given = images if isinstance(images, np.ndarray) else images.detach().cpu().numpy()
@@ -197,6 +224,20 @@ def check_depth(depth: np.ndarray) -> None:
             f"the network's depth is {depth.min():.3g} to {depth.max():.3g} m, but must be above 0: is it a "
             "disparity, or a map before its last layer? Export one that answers in meters"
         )
+
+
+def check_inputs(path: object, others: Sequence[str]) -> None:
+    """Raise ValueError if a file takes more than images and focal lengths; ``others``: after the first."""
+    if list(others) not in ([], [FOCAL]):
+        raise ValueError(
+            f"{path} takes {', '.join(others)} beside its images: give a file that takes images, and at most "
+            f"{FOCAL} beside them"
+        )
+
+
+def unknown_focal(images: np.ndarray) -> np.ndarray:
+    """What a network that sees rays is given for images of unknown lenses: ``(B,)`` zeros."""
+    return np.zeros(len(images), np.float32)
 
 
 def refuse(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) -> None:

@@ -27,8 +27,11 @@ class RuntimeNetwork(nn.Module):
         self.info, self.canonical_px = network.info, network.canonical_px
         self.distribution = network.distribution
 
-    def forward(self, image: Tensor, *, with_spread: bool = False) -> Any:
-        """Depth [m] on the image's device; ``with_spread``: and the standard deviation of ln depth."""
+    def forward(self, image: Tensor, focal: Tensor | None = None, *, with_spread: bool = False) -> Any:
+        """Depth [m] on the image's device; ``with_spread``: and the standard deviation of ln depth.
+
+        ``focal (B,)`` is fx [px of ``image``], for files with ``canonical_px``.
+        """
         if self.network.fixed_size not in (None, tuple(image.shape[-2:])):
             raise ValueError(
                 f"this file takes {self.network.fixed_size} pixels (height, width), but the images have "
@@ -36,17 +39,20 @@ class RuntimeNetwork(nn.Module):
             )
         batch = self.network.fixed_batch
         if batch is None:
-            return self._run(image.float(), with_spread)
+            return self._run(image.float(), focal, with_spread)
         if len(image) > batch:
             raise ValueError(f"this file takes {batch} images at once: give batch_size={batch}")
-        filled = torch.cat([image, image[-1:].expand(batch - len(image), -1, -1, -1)])  # the last of a set
-        found = self._run(filled.float(), with_spread)
+        missing = batch - len(image)  # in the last batch of a set
+        filled = torch.cat([image, image[-1:].expand(missing, -1, -1, -1)])
+        lens = None if focal is None else torch.cat([focal, focal[-1:].expand(missing)])
+        found = self._run(filled.float(), lens, with_spread)
         return tuple(each[: len(image)] for each in found) if with_spread else found[: len(image)]
 
-    def _run(self, image: Tensor, with_spread: bool) -> Any:
+    def _run(self, image: Tensor, focal: Tensor | None, with_spread: bool) -> Any:
+        lens = None if focal is None else focal.cpu().numpy()
         if not with_spread:
-            return self.network(image)
-        depth, sigma, _ = self.network.predict(image.cpu().numpy())  # asked only of files with sigma
+            return self.network(image, lens)
+        depth, sigma, _ = self.network.predict(image.cpu().numpy(), lens)  # asked only of files with sigma
         return tuple(torch.from_numpy(each).to(image.device) for each in (depth, sigma / depth))
 
 

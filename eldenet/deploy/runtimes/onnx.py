@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.deploy.metadata import own_metadata
-from eldenet.deploy.runtimes.base import Runtime, refuse
+from eldenet.deploy.runtimes.base import FOCAL, Runtime, check_inputs, refuse, unknown_focal
 from eldenet.system.onnx_files import CPU, CUDA, TENSORRT, open_session
 
 PROVIDERS = {"cpu": CPU, "cuda": CUDA, "tensorrt": TENSORRT}
@@ -39,10 +39,15 @@ class OnnxRuntime(Runtime):
             if "int8" in (own, precision)
             else "bf16 runs under OpenVINO (runtime=openvino) and torch",
         )
-        (port,) = self.session.get_inputs()
+        port, *others = self.session.get_inputs()
+        check_inputs(path, [other.name for other in others])
         self.input = port.name
-        super().__init__(own, threads, "cpu" if provider == CPU else device, metadata, path, port.shape)
+        device = "cpu" if provider == CPU else device
+        super().__init__(own, threads, device, metadata, path, port.shape, sees_rays=bool(others))
 
-    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
+    def run_maps(self, images: np.ndarray, focal: np.ndarray | None = None) -> list[np.ndarray]:
         """Run arrays."""
-        return list(self.session.run(None, {self.input: images}))
+        given = {self.input: images}
+        if self.sees_rays:
+            given[FOCAL] = unknown_focal(images) if focal is None else focal
+        return list(self.session.run(None, given))

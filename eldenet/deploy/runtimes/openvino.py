@@ -7,7 +7,7 @@ import numpy as np
 
 from eldenet.deploy.metadata import read_metadata
 from eldenet.deploy.openvino_export import openvino_core
-from eldenet.deploy.runtimes.base import Runtime, refuse
+from eldenet.deploy.runtimes.base import FOCAL, Runtime, check_inputs, refuse, unknown_focal
 from eldenet.system.errors import reading
 from eldenet.system.onnx_files import EXPORT_AGAIN
 
@@ -63,13 +63,20 @@ class OpenvinoRuntime(Runtime):
         with reading(path, "file for OpenVINO", EXPORT_AGAIN):
             self.compiled = core.compile_model(str(path), name, settings)
             sides = list(self.compiled.input(0).partial_shape)
+            # a port has several names where operations that change nothing follow it
+            named = [port.get_names() for port in self.compiled.inputs[1:]]
+            others = [FOCAL if FOCAL in names else min(names) for names in named]
         shape = [side.get_length() if side.is_static else None for side in sides]
-        super().__init__(precision, threads, device.lower(), metadata, path, shape)
+        check_inputs(path, others)
+        super().__init__(precision, threads, device.lower(), metadata, path, shape, sees_rays=bool(others))
         self.request = self.compiled.create_infer_request()
         self._one_at_a_time = threading.Lock()
 
-    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
+    def run_maps(self, images: np.ndarray, focal: np.ndarray | None = None) -> list[np.ndarray]:
         """Run arrays."""
+        given = [images]
+        if self.sees_rays:
+            given.append(unknown_focal(images) if focal is None else focal)
         with self._one_at_a_time:  # until the copy is made: the request reuses the memory
-            found = self.request.infer([images], share_inputs=True, share_outputs=True)
+            found = self.request.infer(given, share_inputs=True, share_outputs=True)
             return [found[number].copy() for number in range(len(self.compiled.outputs))]

@@ -47,7 +47,7 @@ class TorchRuntime(Runtime):
         if device == "cuda":
             full_fp32()
         name = torch.cuda.get_device_name() if device == "cuda" else "cpu"
-        super().__init__(precision, threads, name, metadata or {})
+        super().__init__(precision, threads, name, metadata or {}, sees_rays=model.sees_rays)
         self.runtime = layout
         self.target = torch.device(device)
         self.layout = torch.contiguous_format if layout == "torch" else torch.channels_last
@@ -64,21 +64,24 @@ class TorchRuntime(Runtime):
         return torch.from_numpy(images).to(self.target).contiguous(memory_format=self.layout)
 
     @torch.no_grad()
-    def run_prepared(self, images: Tensor, **options: bool) -> Any:
+    def run_prepared(self, images: Tensor, focal: np.ndarray | None = None, **options: bool) -> Any:
         """Run a tensor; ``options`` are those of the network."""
         if self.target.type == "cpu" and torch.get_num_threads() != self.threads:
             torch.set_num_threads(self.threads)
-        return self.network(images, **options)
+        if not self.sees_rays:
+            return self.network(images, **options)
+        lens = torch.zeros(len(images)) if focal is None else torch.from_numpy(focal)
+        return self.network(images, lens.to(self.target), **options)
 
-    def run(self, images: np.ndarray) -> np.ndarray:
+    def run(self, images: np.ndarray, focal: np.ndarray | None = None) -> np.ndarray:
         """Run arrays."""
-        return self.run_prepared(self.prepared(images)).cpu().numpy()
+        return self.run_prepared(self.prepared(images), focal).cpu().numpy()
 
-    def run_maps(self, images: np.ndarray) -> list[np.ndarray]:
+    def run_maps(self, images: np.ndarray, focal: np.ndarray | None = None) -> list[np.ndarray]:
         """Run arrays."""
         if self.distribution is None:
-            return [self.run(images)]
-        depth, spread = self.run_prepared(self.prepared(images), with_spread=True)
+            return [self.run(images, focal)]
+        depth, spread = self.run_prepared(self.prepared(images), focal, with_spread=True)
         return [depth.cpu().numpy(), (depth * spread).cpu().numpy()]
 
     def synchronize(self) -> None:
@@ -94,5 +97,5 @@ class _Cast(nn.Module):
         super().__init__()
         self.network, self.dtype = network.to(dtype), dtype
 
-    def forward(self, image: Tensor) -> Tensor:
-        return self.network(image.to(self.dtype))
+    def forward(self, image: Tensor, *focal: Tensor) -> Tensor:
+        return self.network(image.to(self.dtype), *focal)
