@@ -154,9 +154,9 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
         prepared, quantized = Path(folder) / "prepared.onnx", Path(folder) / "int8.onnx"
         quant_pre_process(str(source), str(prepared), skip_symbolic_shape=True)
         graph = read_graph(prepared).graph
-        seen, of_image = {graph.input[0].name}, []  # what depends on the image, and the nodes that do
+        seen, of_image = {graph.input[0].name}, []  # what depends on the image's values
         for node in graph.node:
-            if seen.intersection(node.input):
+            if node.op_type != "Shape" and seen.intersection(node.input):
                 seen.update(node.output)
                 of_image.append(node)
         kinds = [node.op_type for node in of_image]

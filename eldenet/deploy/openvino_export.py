@@ -49,7 +49,9 @@ def write_openvino(source: str | Path, path: str | Path, metadata: Mapping[str, 
 def quantize_openvino(
     source: str | Path, path: str | Path, inputs: Sequence[np.ndarray], metadata: Mapping[str, str]
 ) -> Path:
-    """Turn an fp32 ONNX file into int8 OpenVINO IR with nncf; the first convolution and rays stay fp32.
+    """Turn an fp32 ONNX file into int8 OpenVINO IR with nncf.
+
+    The first convolution stays fp32, and what the focal length alone decides, until it meets the features.
 
     Raises:
         ImportError: nncf is not installed.
@@ -61,23 +63,27 @@ def quantize_openvino(
     with quiet():
         import nncf
     network = openvino_core().read_model(str(source))
-    seen = {network.inputs[0].get_node().get_friendly_name()}  # what depends on the image
+    seen = {network.inputs[0].get_node().get_friendly_name()}  # what depends on the image's values
+    of_lens = {port.get_node().get_friendly_name() for port in network.inputs[1:]}  # on the lens, not on them
     stem: list[str] = []
-    rays: list[str] = []
+    exact: list[str] = []
     for op in network.get_ordered_ops():
-        name, is_conv = op.get_friendly_name(), op.get_type_name() == "Convolution"
-        if any(port.get_node().get_friendly_name() in seen for port in op.input_values()):
+        name, kind = op.get_friendly_name(), op.get_type_name()
+        given = {port.get_node().get_friendly_name() for port in op.input_values()}
+        if kind != "ShapeOf" and given & seen:
             seen.add(name)
-            stem += [name] * (is_conv and not stem)
-        elif is_conv:
-            rays.append(name)
+            stem += [name] * (kind == "Convolution" and not stem)
+            exact += [name] * bool(given & of_lens)
+        elif given & of_lens:
+            of_lens.add(name)
+            exact.append(name)
     with quiet():
         quantized = nncf.quantize(
             network,
             nncf.Dataset(calibration_feeds(source, inputs)),
             preset=nncf.QuantizationPreset.MIXED,  # hard swish is not symmetric
             subset_size=len(inputs),
-            ignored_scope=nncf.IgnoredScope(names=stem + rays) if stem else None,
+            ignored_scope=nncf.IgnoredScope(names=stem + exact) if stem else None,
         )
     return _save(quantized, Path(path), {**metadata, "precision": "int8"})
 
