@@ -201,7 +201,8 @@ def compare_with_torch(
     seen = [resize_image(picture, size) for picture, size in zip(pictures, sizes, strict=True)]
     outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
     with_sigma = "sigma" in outputs
-    lenses = [None if number % 2 else 0.9 * picture.shape[1] for number, picture in enumerate(seen)]
+    told = model.canonical_px is not None
+    lenses = [0.9 * picture.shape[1] if told and number % 2 else None for number, picture in enumerate(seen)]
     reference = []
     for picture, lens in zip(seen, lenses, strict=True):
         size = target.size if s.camera else (picture.shape[0], picture.shape[1])

@@ -167,7 +167,7 @@ def test_a_costly_int8_file_is_warned_of(
     target = target_of(compose(ExportSettings, words), model)
 
     class Int8:
-        def predict(self, image: np.ndarray) -> DepthEstimate:
+        def predict(self, image: np.ndarray, focal: float | None = None) -> DepthEstimate:
             depth = model(torch.from_numpy(image)).detach().numpy() * factor
             depth[..., 0, 0] *= 3 / factor
             return DepthEstimate(depth)
