@@ -25,7 +25,7 @@ types configurable uncertainty
 system layers
 compose weights
 geometry heads
-boxes refinement losses visualization
+boxes ray_features refinement losses visualization
 backbones decoders
 baselines model
 simulation zoo
