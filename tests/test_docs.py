@@ -176,7 +176,11 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     assert names["depth"].shape == (48, 64)
 
 
-@pytest.mark.parametrize(("name", "size"), [("eldenet_rooms", (96, 128)), ("eldenet_indoor", (152, 200))])
+@pytest.mark.parametrize(
+    ("name", "size"),
+    # without a canonical camera, with one, and told the lens
+    [("eldenet_rooms", (96, 128)), ("eldenet_indoor_open", (152, 200)), ("eldenet_indoor", (152, 200))],
+)
 def test_the_snippet_of_embedded_gives_what_predict_gives(name, size, tmp_path, monkeypatch):
     """A board without eldenet prepares the frame as the package does."""
     pytest.importorskip("onnxruntime")
