@@ -295,7 +295,9 @@ def _learner() -> Any:
     from eldenet.navigation.env import ArenaNavVectorEnv
     from eldenet.navigation.tasks import TrainingArenas
 
-    settings = DQNSettings(total_timesteps=600, batch_size=16, buffer_size=200, hidden=(16,), seed=0)
+    settings = DQNSettings(
+        total_timesteps=600, learning_starts=100, batch_size=16, buffer_size=200, hidden=(16,), seed=0
+    )
     return DQN(ArenaNavVectorEnv(4, arenas=TrainingArenas((0, 5))), settings)
 
 
