@@ -251,12 +251,15 @@ def test_depth_and_cloud_have_the_pictures_stamp_frame_and_meters(ros, request, 
 
 def test_meters_are_for_the_lens_of_the_calibration(ros) -> None:
     """The default network sees the lens: a longer one shows the same picture farther away."""
+    medians = []
     for focal in (110.0, 220.0):
         node = ros("depth")
         node.on_info(camera_info(pinhole(focal, focal, 80.0, 60.0)))
         node.on_image(image(PHOTO, "rgb8"))
         found = np.frombuffer(node.sent["depth/image"][0].data, np.float32)
         assert found == pytest.approx(node.predictor(PHOTO, focal=focal).depth.ravel(), rel=1e-4)
+        medians.append(np.median(found))
+    assert medians[1] > 1.3 * medians[0]
 
 
 def test_a_picture_without_calibration_is_logged(ros) -> None:
