@@ -82,7 +82,7 @@ def test_overrides_replace_parts_and_options() -> None:
         ("eldenet_room", {}, r"did you mean eldenet_rooms\?"),
         ("eldenet_kitti", {}, r"eldenet_rooms: indoors; there are none for streets\)"),
         ("eldenet_outdoor", {}, "there are none for streets"),
-        ("runs/mine/checkpoints/best.pt", {}, "give its run folder, which stands for the best epoch"),
+        ("runs/mine/checkpoints/best.pt", {}, "give the run folder, which stands for the best epoch"),
         ("qqqqqqqq", {}, r"choose trained weights .*docs/networks\.md"),
         ("eldenet", {"weights": "kitti"}, r"no weights 'kitti' for eldenet, only eldenet_.*load\('kitti'\)"),
         ("eldenet", {"revision": "v2"}, "apply to saved models"),

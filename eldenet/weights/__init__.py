@@ -77,8 +77,8 @@ def find_checkpoint(name: str | Path, setting: str = "source", *, trained: bool 
         return Checkpoint("network", Path(source))
     if path.suffix in (".pt", ".pth"):
         raise ValueError(
-            f"{setting}={source} is the state of a training: give its run folder, which stands for the best "
-            "epoch"
+            f"{setting}={source} holds tensors and not their network: give the run folder, which stands for "
+            "the best epoch, or a folder that model.save_pretrained wrote"
         )
     if path.suffix in EXPORTED:
         if not path.is_file():
