@@ -7,6 +7,7 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -149,6 +150,13 @@ def wait_until(page, expression: str) -> None:
         page.wait_for_timeout(50)
 
 
+def looks_again(page, act: Callable[[], None]) -> None:
+    """Act, and wait for the next frame of a network that sees the lens."""
+    page.evaluate("import('./app.js').then(({ state }) => { state.frames = 0; })")
+    act()
+    wait_until(page, f"{FRAMES}.then((frames) => frames > 0)")
+
+
 def give(page, path: Path, picture: np.ndarray) -> None:
     cv2.imwrite(str(path), picture[..., ::-1])
     page.set_input_files("#file", path)
@@ -173,12 +181,12 @@ def test_a_photo_has_the_depth_that_python_gives(page, predictor, tmp_path, crop
 def test_the_focal_slider_scales_meters_as_intrinsics_do(page, predictor, tmp_path):
     photo = skimage.data.coffee()
     give(page, tmp_path / "photo.png", photo)
-    page.fill("#focal", "1.2")
+    looks_again(page, lambda: page.fill("#focal", "1.2"))
     _, depth = read(page)
     expected = predictor(photo, intrinsics=[1.2 * 600, 1.2 * 600, 300, 200])
     np.testing.assert_allclose(depth, expected, rtol=0, atol=TOLERANCE)
     assert "fx 720 px, 45° wide" in page.inner_text("#focal-value")
-    page.click("#reset")
+    looks_again(page, lambda: page.click("#reset"))
     np.testing.assert_allclose(read(page)[1], predictor(photo), rtol=0, atol=TOLERANCE)
 
 
