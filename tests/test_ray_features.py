@@ -1,6 +1,7 @@
 """Rays: a network that is told its lens, in training, in torch, and in every file."""
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -140,43 +141,41 @@ def test_scores_mirrors_and_teachers_are_told_the_lens(model: DepthNet) -> None:
     torch.testing.assert_close(Teacher(model)(images, FOCAL), depth)
 
 
-def onnx(model: DepthNet, folder: Path, facts: dict[str, str]) -> Path:
-    return write_onnx(model, folder / "m.onnx", SIZE, metadata=facts)
+@pytest.fixture(scope="module")
+def written(model: DepthNet, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Writes the file of that kind, once."""
+    folder, facts = tmp_path_factory.mktemp("files"), describe(model, "m", SIZE)
+    kinds = {"onnx": {}, "any size": {"any_size": True}, "old": {"opset": 13}}
 
+    @cache
+    def write(kind: str) -> Path:
+        if kind == "openvino":
+            return write_openvino(write("onnx"), folder / "m.xml", facts)
+        return write_onnx(model, folder / f"{kind}.onnx", SIZE, metadata=facts, **kinds[kind])
 
-def any_size(model: DepthNet, folder: Path, facts: dict[str, str]) -> Path:
-    return write_onnx(model, folder / "any.onnx", SIZE, any_size=True, metadata=facts)
-
-
-def old(model: DepthNet, folder: Path, facts: dict[str, str]) -> Path:
-    return write_onnx(model, folder / "old.onnx", SIZE, opset=13, metadata=facts)
-
-
-def openvino(model: DepthNet, folder: Path, facts: dict[str, str]) -> Path:
-    return write_openvino(onnx(model, folder, facts), folder / "m.xml", facts)
+    return write
 
 
 @pytest.mark.parametrize(
-    ("write", "runtime"),
+    ("kind", "runtime"),
     [
-        (onnx, "onnxruntime"),
-        (onnx, "openvino"),
-        (any_size, "onnxruntime"),
-        (old, "onnxruntime"),
-        (old, "openvino"),
-        (openvino, "openvino"),
+        ("onnx", "onnxruntime"),
+        ("onnx", "openvino"),
+        ("any size", "onnxruntime"),
+        ("old", "onnxruntime"),
+        ("old", "openvino"),
+        ("openvino", "openvino"),
         (None, "torch"),
         (None, "torch_channels_last"),
         (None, "onnxruntime"),
     ],
 )
 def test_every_file_and_runtime_gives_the_meters_of_torch(
-    write: Callable[..., Path] | None, runtime: str, model: DepthNet, tmp_path: Path
+    kind: str | None, runtime: str, model: DepthNet, written: Callable[[str], Path]
 ) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("openvino")
-    source = model if write is None else write(model, tmp_path, describe(model, "m", SIZE))
-    network = runtimes.load(source, runtime, threads=1)
+    network = runtimes.load(model if kind is None else written(kind), runtime, threads=1)
     assert network.sees_rays
     images = picture(*SIZE, batch=4)
     with torch.inference_mode():
@@ -192,35 +191,33 @@ def test_every_file_and_runtime_gives_the_meters_of_torch(
         np.testing.assert_allclose(one, model(images[:1], 90.0), rtol=1e-3)
 
 
-@pytest.mark.parametrize("fov", [50.0, 90.0, None])
-def test_a_file_of_frames_takes_the_frames_focal_length(
-    fov: float | None, model: DepthNet, tmp_path: Path
-) -> None:
+def test_a_file_of_frames_takes_the_frames_focal_length(model: DepthNet, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     camera, frame = (64, 128), photo(64, 128)
     facts = describe(model, "m", SIZE, camera_size=camera)
     path = write_onnx(model, tmp_path / "c.onnx", SIZE, camera_size=camera, batch=1, metadata=facts)
     by_file = DepthPredictor(runtimes.load(path, "onnxruntime", threads=1), steady=False)
     by_torch = DepthPredictor(model, steady=False)
-    ratio = by_file(frame, fov=fov) / by_torch(frame, fov=fov)  # torch rounds the smaller frame
-    assert np.abs(ratio - 1).mean() < 0.005
-    with torch.inference_mode():
-        small = torch.from_numpy(frame).permute(2, 0, 1)[None].float() / 255
-        small = torch.nn.functional.avg_pool2d(small, 2)
-        lens = None if fov is None else 32 / np.tan(np.radians(fov / 2))
-        expected = model(small, lens)[0, 0]
-    np.testing.assert_allclose(by_torch(frame, fov=fov)[::2, ::2].mean(), expected.mean(), rtol=0.02)
+    small = torch.nn.functional.avg_pool2d(torch.from_numpy(frame).permute(2, 0, 1)[None].float() / 255, 2)
+    for fov in (50.0, 90.0, None):
+        ratio = by_file(frame, fov=fov) / by_torch(frame, fov=fov)  # torch rounds the smaller frame
+        assert np.abs(ratio - 1).mean() < 0.005
+        with torch.inference_mode():
+            expected = model(small, None if fov is None else 32 / np.tan(np.radians(fov / 2)))[0, 0]
+        np.testing.assert_allclose(by_torch(frame, fov=fov)[::2, ::2].mean(), expected.mean(), rtol=0.02)
 
 
 @pytest.mark.parametrize("kind", ["onnx", "openvino"])
-def test_int8_keeps_the_lens(kind: str, model: DepthNet, tmp_path: Path) -> None:
+def test_int8_keeps_the_lens(
+    kind: str, model: DepthNet, written: Callable[[str], Path], tmp_path: Path
+) -> None:
     pytest.importorskip("onnxruntime" if kind == "onnx" else "nncf")
-    images, facts = picture(*SIZE, batch=16), describe(model, "m", SIZE)
-    inputs, graph = [each[None].numpy() for each in images], onnx(model, tmp_path, facts)
+    images, graph = picture(*SIZE, batch=16), written("onnx")
+    inputs = [each[None].numpy() for each in images]
     if kind == "onnx":
         network = runtimes.load(quantize_onnx(graph, tmp_path / "q.onnx", inputs), "onnxruntime", threads=1)
     else:
-        path = quantize_openvino(graph, tmp_path / "q.xml", inputs, facts)
+        path = quantize_openvino(graph, tmp_path / "q.xml", inputs, describe(model, "m", SIZE))
         network = runtimes.load(path, "openvino", threads=1)
     with torch.inference_mode():
         for lens in (40.0, 70.0, None):
@@ -228,17 +225,16 @@ def test_int8_keeps_the_lens(kind: str, model: DepthNet, tmp_path: Path) -> None
             assert 0.93 < np.median(ratio) < 1.07
 
 
-def test_a_file_that_takes_more_than_a_lens_is_refused(model: DepthNet, tmp_path: Path) -> None:
-    onnx_package = pytest.importorskip("onnx")
-    path = onnx(model, tmp_path, describe(model, "m", SIZE))
-    graph = onnx_package.load(path)
-    graph.graph.input.add().CopyFrom(
-        onnx_package.helper.make_tensor_value_info("time", onnx_package.TensorProto.FLOAT, [1])
-    )
+def test_a_file_that_takes_more_than_a_lens_is_refused(
+    written: Callable[[str], Path], tmp_path: Path
+) -> None:
+    onnx = pytest.importorskip("onnx")
+    graph = onnx.load(written("onnx"))
+    graph.graph.input.add().CopyFrom(onnx.helper.make_tensor_value_info("time", onnx.TensorProto.FLOAT, [1]))
     foreign = tmp_path / "foreign.onnx"
     del graph.metadata_props[:]
     graph.producer_name = "other"
-    onnx_package.save(graph, foreign)
+    onnx.save(graph, foreign)
     with pytest.raises(ValueError, match="takes focal, time beside its images"):
         runtimes.load(foreign, "onnxruntime", threads=1)
 
