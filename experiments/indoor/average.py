@@ -1,10 +1,13 @@
 """Averages the weights of trainings that began with the same weights, or of stages of one training.
 
 ``python experiments/indoor/average.py runs/one runs/other runs/average`` writes the average of two or
-more as a saved model. Wortsman et al., "Model soups" (ICML 2022).
+more as a saved model. Wortsman et al., "Model soups" (ICML 2022). Where the first sees its lens
+(``model/rays=film``), others need not: rays of zeros change nothing.
 """
 
 import sys
+
+import torch
 
 import eldenet
 from eldenet.results.before_after import MEASURED
@@ -17,7 +20,7 @@ def main(*runs: str, output: str) -> None:
         theirs = eldenet.load(run).state_dict()
         for name, tensor in model.state_dict().items():
             if tensor.is_floating_point():
-                tensor.lerp_(theirs[name], 1 / number)
+                tensor.lerp_(theirs[name] if name in theirs else torch.zeros_like(tensor), 1 / number)
     model.info = {name: fact for name, fact in model.info.items() if name not in MEASURED}
     model.save_pretrained(output, info={"averaged": list(runs)})
 
