@@ -20,7 +20,9 @@ def main(*runs: str, output: str) -> None:
         theirs = eldenet.load(run).state_dict()
         for name, tensor in model.state_dict().items():
             if tensor.is_floating_point():
-                tensor.lerp_(theirs[name] if name in theirs else torch.zeros_like(tensor), 1 / number)
+                if name.startswith("network.rays."):
+                    theirs.setdefault(name, torch.zeros_like(tensor))
+                tensor.lerp_(theirs[name], 1 / number)
     model.info = {name: fact for name, fact in model.info.items() if name not in MEASURED}
     model.save_pretrained(output, info={"averaged": list(runs)})
 
