@@ -49,7 +49,30 @@ def bootstrap_interval(
             np.concatenate([members[one] for one in rng.integers(0, count, count)])
             for _ in range(draws if count else 0)
         )
-    values = np.array([statistic(drawn) for drawn in resamples])
+    return _limits(np.array([statistic(drawn) for drawn in resamples]))
+
+
+def mean_interval(
+    values: np.ndarray, groups: np.ndarray | None = None, *, draws: int = 2000
+) -> tuple[float, float]:
+    """:func:`bootstrap_interval` of the mean of ``values (N,)``, much faster.
+
+    Args:
+        values: of the observations; for a paired comparison, their differences.
+        groups: the group ``(N,)`` of each observation; None: each stands alone.
+        draws: number of resamples.
+    """
+    values = np.asarray(values, np.float64)
+    members = np.arange(len(values)) if groups is None else np.unique(groups, return_inverse=True)[1]
+    sizes = np.bincount(members)
+    if not len(sizes):
+        return math.nan, math.nan
+    drawn = np.random.default_rng(0).integers(0, len(sizes), (draws, len(sizes)))
+    return _limits(np.bincount(members, values)[drawn].sum(1) / sizes[drawn].sum(1))
+
+
+def _limits(values: np.ndarray) -> tuple[float, float]:
+    """The ends of the interval of the draws that have a value."""
     values = values[np.isfinite(values)]
     if not len(values):
         return math.nan, math.nan

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from eldenet.boxes import ArrayRows, Boxes3D, wrap_half
-from eldenet.evaluation.bootstrap import bootstrap_interval
+from eldenet.evaluation.bootstrap import mean_interval
 from eldenet.perception.iou import box_ious, iou_2d
 
 PAIR_OVERLAP = 0.5
@@ -144,4 +144,4 @@ def bootstrap(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
     is too narrow. ``values`` may be differences of two methods on the same pairs.
     """
     alone = len(np.unique(groups)) == 1
-    return bootstrap_interval(lambda drawn: float(values[drawn].mean()), len(values) if alone else groups)
+    return mean_interval(values, None if alone else groups)

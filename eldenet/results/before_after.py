@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldenet.evaluation.bootstrap import bootstrap_interval
+from eldenet.evaluation.bootstrap import mean_interval
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results.fingerprints import fingerprint
 from eldenet.results.paired_intervals import DRAWS
@@ -56,7 +56,7 @@ def compare(metric: str, before: Sequence[float], after: Sequence[float]) -> Cha
     block = (np.arange(len(one)) * BLOCKS // len(one))[known]
     one, other = one[known], other[known]
     change = other - one
-    low, high = bootstrap_interval(lambda drawn: float(change[drawn].mean()), block, draws=DRAWS)
+    low, high = mean_interval(change, block, draws=DRAWS)
     return Change(metric, float(one.mean()), float(other.mean()), low, high, len(one))
 
 

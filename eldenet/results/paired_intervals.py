@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.evaluation.bootstrap import LIMITS, bootstrap_interval, scenes_of
+from eldenet.evaluation.bootstrap import LIMITS, mean_interval, scenes_of
 from eldenet.evaluation.metric_names import in_range
 from eldenet.results.packed_runs import IMAGES
 
@@ -89,7 +89,7 @@ def paired_interval(ours: Scores, theirs: Scores, *, draw_seeds: bool) -> tuple[
     if draw_seeds and len(difference):
         low, high = two_level_interval(mine, other, scenes)
     else:
-        low, high = bootstrap_interval(lambda chosen: float(difference[chosen].mean()), scenes, draws=DRAWS)
+        low, high = mean_interval(difference, scenes, draws=DRAWS)
     return float(difference.mean()), low, high
 
 

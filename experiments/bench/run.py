@@ -26,7 +26,7 @@ import torch  # noqa: E402
 import eldenet  # noqa: E402
 from eldenet.deploy import runtimes  # noqa: E402
 from eldenet.deploy.predictor import DepthPredictor  # noqa: E402
-from eldenet.evaluation.bootstrap import bootstrap_interval, scenes_of  # noqa: E402
+from eldenet.evaluation.bootstrap import mean_interval, scenes_of  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
 from eldenet.geometry import crop_intrinsics  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
@@ -172,9 +172,7 @@ def mean(rows: Sequence[dict[str, str]], figure: str) -> str:
 def change(rows: Sequence[dict[str, str]]) -> str:
     """delta1 of views, and how far it lies from the whole frame's on the same pixels, with its interval."""
     values = np.array([float(row["delta1"]) - float(row["whole_delta1"]) for row in rows])
-    low, high = bootstrap_interval(
-        lambda drawn: float(values[drawn].mean()), scenes_of([row["frame"] for row in rows])
-    )
+    low, high = mean_interval(values, scenes_of([row["frame"] for row in rows]))
     return f"{mean(rows, 'delta1')} ({values.mean():+.3f} [{low:+.3f}, {high:+.3f}])"
 
 

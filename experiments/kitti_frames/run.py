@@ -20,7 +20,7 @@ from torch import nn
 import eldenet
 from eldenet.compose import compose
 from eldenet.evaluate import EvaluateSettings
-from eldenet.evaluation.bootstrap import bootstrap_interval, scenes_of
+from eldenet.evaluation.bootstrap import mean_interval, scenes_of
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.evaluation.splits import chosen_protocol, open_split
@@ -171,8 +171,7 @@ def cell(rows: Sequence[Mapping[str, str]], figure: str) -> str:
     mean = f"{values.mean():.3f}"
     if len(values) < ENOUGH:
         return mean
-    scenes = scenes_of([row["frame"] for row in rows])
-    low, high = bootstrap_interval(lambda drawn: float(values[drawn].mean()), scenes)
+    low, high = mean_interval(values, scenes_of([row["frame"] for row in rows]))
     return f"{mean} [{low:.3f}, {high:.3f}]"
 
 

@@ -21,7 +21,7 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
+from eldenet.evaluation.bootstrap import mean_interval  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
 from eldenet.geometry import crop_intrinsics  # noqa: E402
 from eldenet.results.plots import pyplot_for_files, save_figure  # noqa: E402
@@ -132,9 +132,7 @@ def summary(rows: list[Row]) -> Iterator[dict[str, object]]:
                 lines: dict[str, object] = {"place": place, "factor": factor, "camera": camera}
                 for column, name in enumerate(("delta1", "abs_rel")):
                     values = change[:, column]
-                    low, high = bootstrap_interval(
-                        lambda drawn, v=values: float(v[drawn].mean()), len(values)
-                    )
+                    low, high = mean_interval(values)
                     lines |= {
                         name: float(crop[:, column].mean()),
                         f"{name}_whole": float(whole[:, column].mean()),

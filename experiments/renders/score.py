@@ -15,7 +15,7 @@ import torch
 
 import eldenet
 from eldenet.compose import compose
-from eldenet.evaluation.bootstrap import bootstrap_interval, scenes_of
+from eldenet.evaluation.bootstrap import mean_interval, scenes_of
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.results.tables import to_markdown
@@ -59,9 +59,7 @@ def compare(split: str, ours: str, theirs: str) -> None:
     first, second = stored()[ours, split], stored()[theirs, split]
     difference = np.array([np.subtract(first[name], second[name]) for name in first])
     for metric, values in zip(METRICS, difference.T, strict=True):
-        low, high = bootstrap_interval(
-            lambda drawn, values=values: float(values[drawn].mean()), scenes_of(list(first))
-        )
+        low, high = mean_interval(values, scenes_of(list(first)))
         print(f"{metric}: {values.mean():+.3f} [{low:+.3f}, {high:+.3f}] of {len(values)} frames")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 import eldenet
-from eldenet.evaluation.bootstrap import bootstrap_interval
+from eldenet.evaluation.bootstrap import mean_interval
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate
 from eldenet.system.files import read_table, write_rows
 
@@ -56,7 +56,7 @@ def show() -> None:
     for (place, metric, name), frames in values.items():
         means = np.array([np.mean(scores) for scores in frames.values()])
         change = means - [np.mean(scores) for scores in values[place, metric, REFERENCE].values()]
-        low, high = bootstrap_interval(lambda drawn, change=change: float(change[drawn].mean()), len(change))
+        low, high = mean_interval(change)
         text = "" if name == REFERENCE else f"{change.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
         print(f"| {place} | {metric} | `{name}` | {means.mean():.3f} | {text} |")
 

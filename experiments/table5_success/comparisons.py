@@ -3,7 +3,7 @@
 import numpy as np
 from episodes import mcnemar
 
-from eldenet.evaluation.bootstrap import bootstrap_interval
+from eldenet.evaluation.bootstrap import mean_interval
 from eldenet.navigation.evaluation import Episode
 
 # (physics, sensor, method, course) -> episodes of every training
@@ -69,6 +69,6 @@ def loss(tables: Tables, physics: str, sensor: str) -> list[str]:
 def _lost(true: np.ndarray, seen: np.ndarray) -> str:
     """Return the last cells of a line of :func:`loss`."""
     lost = 100.0 * (true.mean(axis=0) - seen.mean(axis=0))  # of every world
-    low, high = bootstrap_interval(lambda drawn: float(lost[drawn].mean()), len(lost))
+    low, high = mean_interval(lost)
     only_true, only_seen, p = mcnemar(true[0], seen[0])
     return f"{lost.mean():.1f} [{low:.1f}, {high:.1f}] | {only_true} | {only_seen} | {p:.2g}"

@@ -18,7 +18,7 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
 import eldenet  # noqa: E402
-from eldenet.evaluation.bootstrap import bootstrap_interval  # noqa: E402
+from eldenet.evaluation.bootstrap import mean_interval  # noqa: E402
 from eldenet.navigation.cameras import Camera  # noqa: E402
 from eldenet.navigation.episodes import EpisodeSettings  # noqa: E402
 from eldenet.navigation.evaluation import run_episodes  # noqa: E402
@@ -79,9 +79,7 @@ def table_of(rows: Rows) -> list[str]:
         plain, own = (
             np.array([outcome == "collision" for _, outcome, _ in episodes[:count]]) for episodes in pair
         )
-        low, high = bootstrap_interval(
-            lambda k, own=own, plain=plain: 100 * float(own[k].mean() - plain[k].mean()), count
-        )
+        low, high = mean_interval(100.0 * (own.astype(float) - plain))
         change, p = 100 * (own.mean() - plain.mean()), mcnemar(list(~own), list(~plain))[2]
         notes.append(
             f"- {density} obstacles: collisions {change:+.1f} points with sigma [{low:+.1f}, {high:+.1f}], "
