@@ -2,7 +2,7 @@
 
 python -m eldenet.export checkpoint=runs/my-run
 python -m eldenet.export checkpoint=runs/my-run format=openvino precision=int8 pictures='photos/*.jpg'
-python -m eldenet.export checkpoint=runs/my-run batch=1 opset=13 'camera=[480,640]'
+python -m eldenet.export checkpoint=runs/my-run batch=1 opset=13 'camera=[480,640]' fov=69
 """
 
 import tempfile
@@ -17,7 +17,7 @@ import numpy as np
 import eldenet
 from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED, listed
-from eldenet.geometry import resize_image, size_of_aspect
+from eldenet.geometry import focal_of_fov, resize_image, size_of_aspect
 from eldenet.system.checks import at_least, check_size, one_of
 from eldenet.system.extras import require
 from eldenet.system.files import safe_stem
@@ -51,6 +51,9 @@ class ExportSettings:
     # (height, width) [px]: the file takes uint8 RGB frames and returns depth of this size, with resizing
     # inside; null: it takes float images of size
     camera: Any = None
+    # horizontal field of view [degrees] of the camera: the file knows this lens, takes pictures alone, and
+    # answers in meters; null: a network with a canonical camera works for any lens, which each call gives
+    fov: float | None = None
     # a folder, or a pattern such as 'photos/*.jpg', for the check and the scales of int8; null: the built-in
     # rendered rooms
     pictures: str | None = None
@@ -79,6 +82,8 @@ class ExportSettings:
             )
         check_size("size", self.size)
         check_size("camera", self.camera)
+        if self.fov is not None:
+            focal_of_fov(self.fov, 1)
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,7 @@ def export(s: ExportSettings) -> Path:
     if s.pictures is None:
         log.say("pictures for the check: rendered rooms (yours: pictures=folder)")
     pictures = read_pictures(s.pictures, s.checks, "test")
-    metadata = describe(model, target.name, size, camera_size=s.camera, license=s.license)
+    metadata = describe(model, target.name, size, camera_size=s.camera, fov=s.fov, license=s.license)
     metadata["precision"] = s.precision
     with tempfile.TemporaryDirectory() as temporary:
         is_graph = s.format == "onnx" and s.precision == "fp32"  # all other files are made from it
@@ -129,6 +134,7 @@ def export(s: ExportSettings) -> Path:
             batch=s.batch,
             opset=s.opset,
             camera_size=s.camera,
+            fov=s.fov,
             metadata=metadata,
         )
         if s.precision == "int8":
@@ -203,6 +209,8 @@ def compare_with_torch(
     with_sigma = "sigma" in outputs
     told = model.canonical_px is not None
     lenses = [0.9 * picture.shape[1] if told and number % 2 else None for number, picture in enumerate(seen)]
+    if s.fov is not None:
+        lenses = [focal_of_fov(s.fov, picture.shape[1]) for picture in seen]
     reference = []
     for picture, lens in zip(seen, lenses, strict=True):
         size = target.size if s.camera else (picture.shape[0], picture.shape[1])

@@ -152,7 +152,14 @@ def predict(s: PredictSettings) -> "Results":
     log = RunLog(results.folder)
     network = open_predictor(s, log, formats=results.formats, is_video=source.is_video)
     camera = None if s.intrinsics is None else intrinsic_matrix(s.intrinsics)
-    lens = Lens(network.canonical_px, intrinsics=camera, focal=s.focal, fov=s.fov, origin=origin)
+    lens = Lens(
+        network.canonical_px,
+        known_fov=network.known_fov,
+        intrinsics=camera,
+        focal=s.focal,
+        fov=s.fov,
+        origin=origin,
+    )
     predictor = Timed(network, lens)
     boxes: AbstractContextManager[Any] = nullcontext()
     viewer: AbstractContextManager[RerunViewer | None] = nullcontext()

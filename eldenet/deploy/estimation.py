@@ -152,7 +152,9 @@ def estimate(
     focal_length(intrinsics, fov, None, focal)  # refuses what does not fit before anything heavy is loaded
     pictures = _named(source)
     predictor = _predictor(checkpoint)
-    lens = Lens(predictor.canonical_px, intrinsics=intrinsics, focal=focal, fov=fov)
+    lens = Lens(
+        predictor.canonical_px, known_fov=predictor.known_fov, intrinsics=intrinsics, focal=focal, fov=fov
+    )
     results = []
     for name, picture in pictures:
         frame, origin = _read(picture)

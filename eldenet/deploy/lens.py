@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Union
 import numpy as np
 
 from eldenet.data.kitti_calibration import object_camera
-from eldenet.deploy.predictor import NO_FOCAL
+from eldenet.deploy.predictor import NO_FOCAL, check_known_lens
 from eldenet.geometry import (
     PinholeCamera,
     check_focal,
@@ -38,6 +38,7 @@ class Lens:
 
     Args:
         canonical_px: of the network; None: it ignores focal lengths.
+        known_fov: of the network, a file for one camera [degrees]; None: it is not.
         intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of all pictures [px], or None.
         focal: fx of all pictures [px], or None.
         fov: horizontal field of view of all pictures [degrees], or None.
@@ -56,12 +57,13 @@ class Lens:
         self,
         canonical_px: float | None,
         *,
+        known_fov: float | None = None,
         intrinsics: Sequence[float] | np.ndarray | None = None,
         focal: float | None = None,
         fov: float | None = None,
         origin: str = "given",
     ) -> None:
-        self.canonical_px, self.fov, self.origin = canonical_px, fov, origin
+        self.canonical_px, self.known_fov, self.fov, self.origin = canonical_px, known_fov, fov, origin
         self.intrinsics = None if intrinsics is None else intrinsic_matrix(intrinsics)
         self.focal = focal if self.intrinsics is None else float(self.intrinsics[0, 0])
         self.given = self.focal is not None or fov is not None
@@ -73,11 +75,13 @@ class Lens:
         """Fx [px] of a picture of ``(height, width, ...)``; None: the canonical camera's.
 
         Raises:
-            ValueError: no picture of this size has such a lens.
+            ValueError: no picture of this size has such a lens, or the network is for another one.
         """
+        focal, origin = self._find(size, photo)
+        if self.known_fov is not None and self.given and focal is not None:
+            check_known_lens(self.known_fov, focal, size[1])
         if self.canonical_px is None:
             return None
-        focal, origin = self._find(size, photo)
         self.found = (
             UNKNOWN_LENS if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"
         )
@@ -122,6 +126,8 @@ class Lens:
             ]
             more = len(self.origins) - len(often)
             lines.append(f"camera: {'; '.join(parts)}" + (f"; {more} more" if more else ""))
+        elif self.known_fov is not None:
+            lines.append(f"camera: fov {self.known_fov:g} degrees, which the file was exported for")
         elif self.given:
             lines.append(f"note: {NO_FOCAL}")
         if points and self.centered:

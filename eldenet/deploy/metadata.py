@@ -36,6 +36,7 @@ def describe(
     size: tuple[int, int],
     *,
     camera_size: tuple[int, int] | None = None,
+    fov: float | None = None,
     license: str | None = None,
 ) -> dict[str, str]:
     """Metadata of an exported file: model, units, license, input, and what the weights were trained on.
@@ -43,12 +44,13 @@ def describe(
     Args:
         size: ``(height, width)`` that the network sees [px].
         camera_size: ``(height, width)`` of the frames that the file takes [px]; None: it takes images.
+        fov: horizontal field of view of the one camera that the file is for [degrees]; None: any.
         license: of the weights; None: the one in the model's ``info``.
     """
     from eldenet.evaluation.cost import count_macs, count_params
 
     height, width = camera_size or size
-    scaled = model.canonical_px is not None and not model.sees_rays
+    scaled = model.canonical_px is not None and not model.sees_rays and fov is None
     seen = f"the frame x {size[1]} / {width}" if camera_size else "the network's image"
     takes = "uint8 RGB frame (B, H, W, 3)" if camera_size else "float RGB image (B, 3, H, W) in [0, 1]"
     return {
@@ -64,10 +66,12 @@ def describe(
         "distribution": json.dumps(model.distribution),
         "min_depth": str(model.head.min_depth),
         "max_depth": str(model.head.max_depth),
-        **canonical_camera(model),
+        **(canonical_camera(model) if fov is None else {}),
+        "fov": json.dumps(fov),
         "license": license or str(model.info.get("license", "not stated")),
         "input": f"{takes}, H = {height}, W = {width}; normalization is inside"
-        + "; focal (B,): fx [px of that image], 0 = the canonical camera's" * model.sees_rays,
+        + "; focal (B,): fx [px of that image], 0 = the canonical camera's"
+        * (model.sees_rays and fov is None),
         "input_size": json.dumps(list(size)),
         "whole_frame_size": json.dumps(model.info.get("whole_frame_size")),
         "stretch": json.dumps(model.info.get("stretch")),

@@ -19,7 +19,7 @@ from eldenet import __version__
 from eldenet.deploy.fold import fold
 from eldenet.deploy.metadata import BLANK, DIGEST, PREFIX, PRODUCER, read_metadata, sealed
 from eldenet.deploy.runtimes.base import FOCAL
-from eldenet.geometry import same_aspect, size_of_aspect
+from eldenet.geometry import focal_of_fov, same_aspect, size_of_aspect
 from eldenet.model import DepthNet
 from eldenet.system.errors import first_line
 from eldenet.system.files import write_bytes
@@ -45,6 +45,7 @@ def write_onnx(
     batch: int | None = None,
     opset: int = NEWEST_OPSET,
     camera_size: tuple[int, int] | None = None,
+    fov: float | None = None,
     metadata: Mapping[str, str] | None = None,
 ) -> Path:
     """Write an ONNX file of fp32 weights; the network is folded first (:func:`eldenet.deploy.fold.fold`).
@@ -56,18 +57,24 @@ def write_onnx(
         batch: fixed number of images; None: any number.
         opset: 18, or an older one (11 to 17) for old boards.
         camera_size: ``(height, width)`` of uint8 frames [px]: the graph takes these and resizes itself.
+        fov: horizontal field of view [degrees]; the graph knows it, and answers in meters for that lens.
         metadata: from :func:`eldenet.deploy.metadata.describe`.
 
     Raises:
-        ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, or the
-            opset cannot express this network, or not at any size.
+        ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, the
+            network ignores lenses but ``fov`` is given, or the opset cannot express it, or not at any size.
     """
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
     if (batch is not None and batch < 1) or min(size) < 1:
         raise ValueError(f"batch={batch}, size={list(size)}: give numbers above 0, or batch=null")
+    if fov is not None and model.canonical_px is None:
+        raise ValueError(
+            f"fov={fov:g}: this network ignores lenses: train with canonical_focal, or leave it out"
+        )
     network: nn.Module = fold(model).cpu()
-    outputs, lens = ["depth"], [torch.full((batch or 2,), 0.8 * size[1])] * model.sees_rays
+    asks = model.sees_rays and fov is None
+    outputs, lens = ["depth"], [torch.full((batch or 2,), 0.8 * size[1])] * asks
     if model.distribution is not None:
         network, outputs = SigmaNet(network), ["depth", "sigma"]  # type: ignore[arg-type]
     name, example = "image", torch.rand(batch or 2, 3, *size)
@@ -80,10 +87,12 @@ def write_onnx(
             )
         network = CameraNet(network, camera_size, size)
         name, example = "frame", torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
+    if fov is not None:
+        network = LensNet(network, fov)
     try:
         with quiet(), torch.no_grad():
             axes = ["batch"] * (batch is None) + ["height", "width"] * any_size
-            inputs = [name] + [FOCAL] * model.sees_rays
+            inputs = [name] + [FOCAL] * asks
             graph = _to_onnx(network.eval(), (example, *lens), (inputs, outputs), axes, opset)
     except RuntimeError as error:  # base class of the exporter's errors
         what = " at any size" * any_size
@@ -270,6 +279,25 @@ class CameraNet(nn.Module):
         if self.blocks is not None:
             return F.avg_pool2d(image, self.blocks)
         return (self.rows @ image) @ self.cols
+
+
+class LensNet(nn.Module):
+    """A network of one camera: it is told that lens with every image or frame.
+
+    Args:
+        model: images ``(B, 3, H, W)`` or frames ``(B, H, W, 3)``, and fx ``(B,)`` [px of these] -> maps.
+        fov: horizontal field of view [degrees].
+    """
+
+    def __init__(self, model: nn.Module, fov: float) -> None:
+        super().__init__()
+        self.model, self.focal = model, focal_of_fov(fov, 1)  # [widths]
+
+    def forward(self, image: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """Return the maps of the model for this lens."""
+        width = image.shape[2 if image.shape[-1] == 3 else 3]
+        lens = torch.full((image.shape[0],), self.focal, device=image.device) * width
+        return self.model(image, lens)
 
 
 def area_weights(given: int, wanted: int) -> Tensor:

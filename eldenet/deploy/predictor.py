@@ -2,6 +2,7 @@
 
 import functools
 import logging
+import math
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from eldenet.deploy.runtimes.base import Runtime, check_depth
 from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
-from eldenet.geometry import BORDER_COLOR, fit_into, focal_length, resize_image, size_of_aspect
+from eldenet.geometry import BORDER_COLOR, fit_into, focal_length, focal_of_fov, resize_image, size_of_aspect
 from eldenet.system.resources import check_torch_device, full_fp32
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 
@@ -28,6 +29,7 @@ NO_FOCAL = (
     "this network ignores focal lengths: the camera does not change the depth, whose meters are right for "
     "the lens of its training only (to change that, train with canonical_focal)"
 )
+SAME_LENS = 0.02  # relative difference of focal lengths
 
 
 class DepthPredictor:
@@ -135,6 +137,11 @@ class DepthPredictor:
         return getattr(self.model, "canonical_px", None)
 
     @property
+    def known_fov(self) -> float | None:
+        """Horizontal field of view of the one camera that the file is for [degrees]; None: any."""
+        return getattr(self.model, "fov", None)
+
+    @property
     def max_depth(self) -> float | None:
         """Largest depth that it can predict [m], for its canonical camera if it has one; None: any."""
         if isinstance(self.model, Runtime):
@@ -184,10 +191,12 @@ class DepthPredictor:
         ``export`` compares files that resize frames themselves with this; ``focal`` is fx [px].
 
         Raises:
-            ValueError: what the network answers is no depth.
+            ValueError: the file is for another lens, or what the network answers is no depth.
         """
         size = (frame.shape[0], frame.shape[1])
-        if focal is not None and self.canonical_px is None and not self._said:
+        if focal is not None and self.known_fov is not None:
+            check_known_lens(self.known_fov, focal, size[1])
+        elif focal is not None and self.canonical_px is None and not self._said:
             self._said = True
             logging.getLogger("eldenet").warning(NO_FOCAL)
         picture, (depth, *sigma) = self._maps(frame, focal)
@@ -248,10 +257,24 @@ def check_frame(frame: np.ndarray) -> None:
 def for_camera(
     predictor: Callable[[np.ndarray], np.ndarray], intrinsics: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return ``predictor`` for frames of one camera if it uses focal lengths; otherwise unchanged."""
-    if isinstance(predictor, DepthPredictor) and predictor.canonical_px is not None:
+    """Return ``predictor`` for frames of one camera if it knows lenses; otherwise unchanged."""
+    if isinstance(predictor, DepthPredictor) and (predictor.canonical_px or predictor.known_fov):
         return functools.partial(predictor, intrinsics=intrinsics)
     return predictor
+
+
+def check_known_lens(fov: float, focal: float, width: int) -> None:
+    """Refuse fx [px] of pictures of a ``width`` that is not that of the file's ``fov`` [degrees].
+
+    Raises:
+        ValueError: they differ by more than 2 %.
+    """
+    if abs(focal / focal_of_fov(fov, width) - 1) > SAME_LENS:
+        given = math.degrees(2 * math.atan(width / 2 / focal))
+        raise ValueError(
+            f"pictures {width} px wide with fx {focal:.0f} px have fov={given:.0f}, but this file was "
+            f"exported for fov={fov:g}: give pictures of that camera, or export a file for this one"
+        )
 
 
 def as_image(frame: np.ndarray) -> np.ndarray:

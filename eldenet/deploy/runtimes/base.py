@@ -48,6 +48,7 @@ class Runtime:
             crop.
         canonical_px: focal length of the canonical camera [px]; None: it ignores focal lengths, and meters
             are those of the training's lens.
+        fov: horizontal field of view [degrees] of the one camera that the file was exported for; None: any.
         sees_rays: whether the network itself takes the focal length; others only have their depth scaled.
         max_depth: largest depth that the network can predict [m]; None: not stated.
         distribution: of the error in ln depth, "laplace" or "gaussian"; None: it predicts no sigma.
@@ -82,8 +83,8 @@ class Runtime:
             )
             focal, width = map(self._number, ("canonical_focal", "canonical_width"))
             self.canonical_px = None if focal is None or width is None else focal * width
-            self.max_depth, self.params, self.gmacs, stretch = map(
-                self._number, ("max_depth", "params", "gmacs", "stretch")
+            self.max_depth, self.params, self.gmacs, stretch, self.fov = map(
+                self._number, ("max_depth", "params", "gmacs", "stretch", "fov")
             )
             self.distribution: str | None = self._value("distribution")
         self.takes_frames = self.camera_size is not None

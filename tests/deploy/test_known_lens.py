@@ -1,0 +1,103 @@
+"""Files of one camera: ``export fov=`` tells the file its lens, and another lens is refused."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from support.networks import picture, small_net
+from support.predicting import photo
+
+from eldenet.compose import compose
+from eldenet.deploy import runtimes
+from eldenet.deploy.metadata import read_metadata
+from eldenet.deploy.predictor import DepthPredictor, for_camera
+from eldenet.export import ExportSettings, export
+from eldenet.geometry import focal_of_fov, pinhole
+from eldenet.heads import LogHead, UncertainHead
+from eldenet.model import DepthNet
+from eldenet.ray_features import RayFeatures
+
+pytest.importorskip("onnxruntime")
+pytest.importorskip("openvino")
+SIZE, FOV = (32, 64), 70.0
+
+
+@pytest.fixture(scope="module", params=[RayFeatures, None], ids=["rays", "no rays"])
+def model(request: pytest.FixtureRequest) -> DepthNet:
+    torch.manual_seed(0)
+    net = small_net(
+        rays=request.param, head=UncertainHead(LogHead()), canonical_focal=0.8, canonical_width=SIZE[1]
+    )
+    net.info = {"input_size": list(SIZE)}
+    if request.param:
+        for convs in net.network.rays.convs.values():
+            torch.nn.init.normal_(convs[2].weight, std=0.3)
+    return net
+
+
+@pytest.fixture(scope="module")
+def folder(model: DepthNet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return model.save_pretrained(tmp_path_factory.mktemp("model"))
+
+
+def exported(folder: Path, output: Path, *words: str) -> Path:
+    given = [f"checkpoint='{folder}'", f"output='{output}'", f"fov={FOV}", "checks=2", *words]
+    return export(compose(ExportSettings, given))
+
+
+@pytest.fixture(scope="module")
+def path(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(folder, tmp_path_factory.mktemp("files") / "m.onnx")
+
+
+def test_the_file_takes_pictures_alone_and_answers_in_meters(model: DepthNet, path: Path) -> None:
+    assert read_metadata(path)["units"] == "meters"
+    for runtime in ("onnxruntime", "openvino"):
+        network = runtimes.load(path, runtime, threads=1)
+        assert not network.sees_rays
+        for size in (SIZE, (48, 48)):  # the lens is that of the width that is shown
+            images = picture(*size, batch=2)
+            with torch.inference_mode():
+                expected = model.predict(images, focal_of_fov(FOV, size[1]))
+            found = network.predict(images.numpy())
+            np.testing.assert_allclose(found.depth, expected.depth, rtol=1e-3)
+            np.testing.assert_allclose(found.sigma, expected.sigma, rtol=1e-3)
+
+
+def test_frames_have_that_lens_too(model: DepthNet, folder: Path, tmp_path: Path) -> None:
+    path = exported(folder, tmp_path / "c.onnx", "camera=[64,128]", "batch=1")
+    frame = photo(64, 128)
+    found = DepthPredictor(runtimes.load(path, threads=1), steady=False)(frame)
+    expected = DepthPredictor(model, SIZE, steady=False)(frame, fov=FOV)
+    assert np.abs(found / expected - 1).mean() < 0.005  # torch rounds the smaller frame
+
+
+def test_another_lens_is_refused_and_its_own_is_not(path: Path) -> None:
+    predictor = DepthPredictor(runtimes.load(path, threads=1), steady=False)
+    frame = photo(48, 96)
+    np.testing.assert_array_equal(predictor(frame, fov=FOV), predictor(frame))
+    other = focal_of_fov(50, 96)
+    with pytest.raises(ValueError, match="fx 103 px have fov=50, but this file was exported for fov=70"):
+        predictor(frame, focal=other)
+    with pytest.raises(ValueError, match="exported for fov=70"):
+        for_camera(predictor, pinhole(other, other, 47.5, 23.5))(frame)
+
+
+def test_predict_says_the_files_lens(run_command, path: Path, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    assert cv2.imwrite(str(tmp_path / "photos" / "a.png"), photo(48, 96))
+    done = run_command("predict", f"checkpoint={path}", "source=photos", "output=found")
+    assert "camera: fov 70 degrees, which the file was exported for" in done.stdout
+    done = run_command("predict", f"checkpoint={path}", "source=photos", "output=other", "fov=50")
+    assert done.returncode == 1
+    assert "but this file was exported for fov=70" in done.stderr
+
+
+def test_a_network_that_ignores_lenses_has_none(tmp_path: Path) -> None:
+    folder = small_net().save_pretrained(tmp_path / "model")
+    with pytest.raises(ValueError, match="fov=70: this network ignores lenses: train with canonical_focal"):
+        exported(folder, tmp_path / "m.onnx")
+    with pytest.raises(ValueError, match=r"fov=200\.0: give the horizontal field of view"):
+        exported(folder, tmp_path / "m.onnx", "fov=200")
