@@ -179,20 +179,21 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "size"),
     # without a canonical camera, with one, and told the lens
-    [("eldenet_rooms", (96, 128)), ("eldenet_indoor_open", (152, 200)), ("eldenet_indoor", (152, 200))],
+    [("eldenet_rooms", (96, 128)), (None, (96, 128)), ("eldenet_indoor", (152, 200))],
 )
 def test_the_snippet_of_embedded_gives_what_predict_gives(name, size, tmp_path, monkeypatch):
     """A board without eldenet prepares the frame as the package does."""
     pytest.importorskip("onnxruntime")
     import cv2
     import skimage
+    from support.networks import small_net
 
     import eldenet
     from eldenet.deploy.metadata import describe
     from eldenet.deploy.onnx_export import write_onnx
 
     monkeypatch.chdir(tmp_path)
-    model = eldenet.load(name)
+    model = eldenet.load(name) if name else small_net(canonical_focal=0.8, canonical_width=size[1])
     write_onnx(model, "board.onnx", size, batch=1, metadata=describe(model, "board", size))
     cv2.imwrite("photo.jpg", skimage.data.coffee()[:, :533])  # of the aspect that the network was trained at
     (block,) = python_blocks("docs/embedded.md")
