@@ -43,7 +43,7 @@ class ExportSettings:
     # fp32; int8, with scales from pictures; bf16 (openvino, on processors that have it)
     precision: str = "fp32"
     # (height, width) that the network sees [px]; null: any, and each picture is seen at the scale of the
-    # training, as by torch. With camera, batch or an old opset a file has one size: that of the training
+    # training, as by torch. With camera, fov, batch or an old opset a file has one size: that of the training
     # (after training on crops: of a whole frame at that scale), else 224 x 224; in the aspect of camera
     size: Any = None
     batch: int | None = None  # fixed number of images, of one size; null: any
@@ -173,7 +173,7 @@ def target_of(s: ExportSettings, model: "DepthNet") -> Target:
         stretch = model.info.get("stretch") or 1.0
         size = size_of_aspect(size, (s.camera[0], s.camera[1] * stretch))
     name = name_of(s.checkpoint, model.info)
-    any_size = (s.size, s.camera, s.batch, s.opset) == (None, None, None, NEWEST_OPSET)
+    any_size = (s.size, s.camera, s.fov, s.batch, s.opset) == (None, None, None, None, NEWEST_OPSET)
     at = "" if any_size else f"-{size[0]}x{size[1]}"
     default = f"exports/{safe_stem(name)}{at}-{s.precision}{ENDINGS[s.format]}"
     output = Path(s.output or default).expanduser()

@@ -57,7 +57,8 @@ def write_onnx(
         batch: fixed number of images; None: any number.
         opset: 18, or an older one (11 to 17) for old boards.
         camera_size: ``(height, width)`` of uint8 frames [px]: the graph takes these and resizes itself.
-        fov: horizontal field of view [degrees]; the graph knows it, and answers in meters for that lens.
+        fov: horizontal field of view [degrees] across ``size``; the graph knows it, and answers in meters
+            for that lens.
         metadata: from :func:`eldenet.deploy.metadata.describe`.
 
     Raises:
@@ -68,6 +69,8 @@ def write_onnx(
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
     if (batch is not None and batch < 1) or min(size) < 1:
         raise ValueError(f"batch={batch}, size={list(size)}: give numbers above 0, or batch=null")
+    if any_size and fov is not None:
+        raise ValueError(f"fov={fov:g}: one camera has pictures of one size: leave any_size out")
     if fov is not None and model.canonical_px is None:
         raise ValueError(
             f"fov={fov:g}: this network ignores lenses: train with canonical_focal, or leave it out"

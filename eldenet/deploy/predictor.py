@@ -191,7 +191,7 @@ class DepthPredictor:
         ``export`` compares files that resize frames themselves with this; ``focal`` is fx [px].
 
         Raises:
-            ValueError: the file is for another lens, or what the network answers is no depth.
+            ValueError: the file is for another lens or wider frames, or what the network answers is no depth.
         """
         size = (frame.shape[0], frame.shape[1])
         if focal is not None and self.known_fov is not None:
@@ -215,6 +215,12 @@ class DepthPredictor:
         camera = self.model.camera_size if isinstance(self.model, Runtime) else None
         size = camera or self.size_for(height, width)
         top, bottom, left, right = fit_into(size, (height, width if camera else width * self.stretch))
+        if self.known_fov is not None and right - left < size[1]:
+            raise ValueError(
+                f"frame is {height} x {width} px (height, width), narrower than {size[0]} x {size[1]}, "
+                f"across which the file's fov={self.known_fov:g} reaches: give frames of that shape, or "
+                "export a file for these"
+            )
         picture = image = resize_image(frame, (bottom - top, right - left))
         if image.shape[:2] != size:
             filled = np.full((*size, 3), BORDER_COLOR, image.dtype)
