@@ -77,10 +77,12 @@ class Lens:
         Raises:
             ValueError: no picture of this size has such a lens, or the network is for another one.
         """
+        if self.canonical_px is None and self.known_fov is None:
+            return None
         focal, origin = self._find(size, photo)
-        if self.known_fov is not None and self.given and focal is not None:
-            check_known_lens(self.known_fov, focal, size[1])
-        if self.canonical_px is None:
+        if self.known_fov is not None:
+            if self.given and focal is not None:
+                check_known_lens(self.known_fov, focal, size[1])
             return None
         self.found = (
             UNKNOWN_LENS if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"
