@@ -134,7 +134,6 @@ def export(s: ExportSettings) -> Path:
             batch=s.batch,
             opset=s.opset,
             camera_size=s.camera,
-            fov=s.fov,
             metadata=metadata,
         )
         if s.precision == "int8":

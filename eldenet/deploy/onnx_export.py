@@ -45,7 +45,6 @@ def write_onnx(
     batch: int | None = None,
     opset: int = NEWEST_OPSET,
     camera_size: tuple[int, int] | None = None,
-    fov: float | None = None,
     metadata: Mapping[str, str] | None = None,
 ) -> Path:
     """Write an ONNX file of fp32 weights; the network is folded first (:func:`eldenet.deploy.fold.fold`).
@@ -57,18 +56,18 @@ def write_onnx(
         batch: fixed number of images; None: any number.
         opset: 18, or an older one (11 to 17) for old boards.
         camera_size: ``(height, width)`` of uint8 frames [px]: the graph takes these and resizes itself.
-        fov: horizontal field of view [degrees] across ``size``; the graph knows it, and answers in meters
-            for that lens.
-        metadata: from :func:`eldenet.deploy.metadata.describe`.
+        metadata: from :func:`eldenet.deploy.metadata.describe`. Where it has a ``fov``, the graph knows this
+            lens and answers in meters for it.
 
     Raises:
         ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, the
-            network ignores lenses but ``fov`` is given, or the opset cannot express it, or not at any size.
+            network ignores lenses but there is a ``fov``, or the opset cannot express it, or not at any size.
     """
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
     if (batch is not None and batch < 1) or min(size) < 1:
         raise ValueError(f"batch={batch}, size={list(size)}: give numbers above 0, or batch=null")
+    fov = json.loads((metadata or {}).get("fov", "null"))
     if any_size and fov is not None:
         raise ValueError(f"fov={fov:g}: one camera has pictures of one size: leave any_size out")
     if fov is not None and model.canonical_px is None:
