@@ -206,10 +206,12 @@ def compare_with_torch(
     seen = [resize_image(picture, size) for picture, size in zip(pictures, sizes, strict=True)]
     outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
     with_sigma = "sigma" in outputs
-    told = model.canonical_px is not None
-    lenses = [0.9 * picture.shape[1] if told and number % 2 else None for number, picture in enumerate(seen)]
+    widths = [picture.shape[1] for picture in seen]
     if s.fov is not None:
-        lenses = [focal_of_fov(s.fov, picture.shape[1]) for picture in seen]
+        lenses: list[float | None] = [focal_of_fov(s.fov, width) for width in widths]
+    else:
+        told = model.canonical_px is not None
+        lenses = [0.9 * width if told and number % 2 else None for number, width in enumerate(widths)]
     reference = []
     for picture, lens in zip(seen, lenses, strict=True):
         size = target.size if s.camera else (picture.shape[0], picture.shape[1])

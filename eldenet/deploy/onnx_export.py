@@ -90,7 +90,7 @@ def write_onnx(
         network = CameraNet(network, camera_size, size)
         name, example = "frame", torch.zeros(batch or 2, *camera_size, 3, dtype=torch.uint8)
     if fov is not None:
-        network = LensNet(network, fov)
+        network = LensNet(network, focal_of_fov(fov, (camera_size or size)[1]))
     try:
         with quiet(), torch.no_grad():
             axes = ["batch"] * (batch is None) + ["height", "width"] * any_size
@@ -288,18 +288,16 @@ class LensNet(nn.Module):
 
     Args:
         model: images ``(B, 3, H, W)`` or frames ``(B, H, W, 3)``, and fx ``(B,)`` [px of these] -> maps.
-        fov: horizontal field of view [degrees].
+        focal: fx [px of these].
     """
 
-    def __init__(self, model: nn.Module, fov: float) -> None:
+    def __init__(self, model: nn.Module, focal: float) -> None:
         super().__init__()
-        self.model, self.focal = model, focal_of_fov(fov, 1)  # [widths]
+        self.model, self.focal = model, focal
 
     def forward(self, image: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Return the maps of the model for this lens."""
-        width = image.shape[2 if image.shape[-1] == 3 else 3]
-        lens = torch.full((image.shape[0],), self.focal, device=image.device) * width
-        return self.model(image, lens)
+        return self.model(image, torch.full((image.shape[0],), self.focal, device=image.device))
 
 
 def area_weights(given: int, wanted: int) -> Tensor:
