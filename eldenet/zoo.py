@@ -70,7 +70,7 @@ def build_teacher(
     source: str | None,
     *,
     overrides: Sequence[str] = (),
-    input_size: Sequence[int] | None = None,
+    input_size: Sequence[int] | str | None = None,
     trusted_modules: Sequence[str] = (),
 ) -> "Teacher":
     """Return a frozen :class:`~eldenet.losses.distillation.Teacher` for a distilled loss term or photographs.
@@ -79,11 +79,13 @@ def build_teacher(
         source: run folder, saved model, Hub id or name, as in :func:`load`.
         overrides: for a name of :func:`list_models`, which needs them to get trained weights
             (``model.network.weights=...``).
-        input_size: ``(height, width)`` of the images that the teacher sees [px]; None: the student's.
+        input_size: ``(height, width)`` of the images that the teacher sees [px]; "model": as in its training;
+            None: the student's.
         trusted_modules: as in :func:`load`.
 
     Raises:
-        ValueError: no teacher is named, or it has no trained weights.
+        ValueError: no teacher is named, it has no trained weights, or it does not say the size of its
+            training and is to see that.
     """
     from eldenet.losses.distillation import Teacher
 
@@ -94,4 +96,12 @@ def build_teacher(
         )
     find_checkpoint(source, "teacher", trained=not overrides)
     network = load(source, overrides=overrides, trusted_modules=trusted_modules)
+    if isinstance(input_size, str):
+        trained = network.info.get("input_size")
+        if input_size != "model" or trained is None:
+            known = "" if trained is None else " or model"
+            raise ValueError(
+                f"input_size={input_size} of teacher {source}: give [height, width] in pixels{known}"
+            )
+        input_size = trained
     return Teacher(network, source=str(source), input_size=input_size)

@@ -19,7 +19,7 @@ from eldenet.system.progress import open_console, progress_bar
 from eldenet.types import Frame
 
 #: Version of the labels: raise it when the same teacher would label the same picture in another way.
-VERSION = 2
+VERSION = 3
 BATCH = 16
 LARGEST = 65.535  # [m], in 16-bit millimeters
 MILLIMETERS = depth_encoding({"scale": 1e-3, "dtype": "uint16"})  # "mm" refuses close-ups as probably meters

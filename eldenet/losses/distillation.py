@@ -42,7 +42,8 @@ class Teacher:
     def __call__(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
         """Return the depth ``(B, 1, H, W)`` [m] of ``image (B, 3, H, W)``, at the image's size.
 
-        ``focal (B,)`` is fx [px of ``image``], 0 where it is unknown.
+        ``focal (B,)`` is fx [px of ``image``], 0 where it is unknown. None: a network with a canonical camera
+        takes the images for whole pictures of that camera, at whatever size it sees them.
         """
         channels_last = image.is_contiguous(memory_format=torch.channels_last)
         layout = torch.channels_last if channels_last else torch.contiguous_format
@@ -59,6 +60,8 @@ class Teacher:
         takes_focal = getattr(self.network, "canonical_px", None) is not None
         with self.autocast():
             depth = (self.network(image, focal) if takes_focal else self.network(image)).float()
+        if takes_focal and focal is None:  # its canonical camera has pixels of the width of its training
+            depth = depth * (image.shape[-1] / self.network.config["canonical_width"])
         if depth.shape[-2:] != size:
             depth = F.interpolate(depth, size=size, mode="bilinear", align_corners=False)
         return depth

@@ -20,7 +20,8 @@ class MeanTeacher:
     Args:
         source: run folder, saved model or Hub id of the first one.
         others: those of the others.
-        **settings: of :func:`eldenet.zoo.build_teacher`, for each of them.
+        **settings: of :func:`eldenet.zoo.build_teacher`, for each of them; ``input_size="model"``: each sees
+            pictures as in its own training.
     """
 
     def __init__(self, source: str, others: Sequence[str], **settings: Any) -> None:

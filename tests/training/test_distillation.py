@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from support.networks import canonical_net, small_net
 from support.training import Stopped, fit, make_trainer, stopping_at
 
 import eldenet
@@ -88,6 +89,28 @@ def test_equal_networks_have_no_feature_loss(networks):
     assert list(term.parameters()) == []  # equal channels need no projection
     value = term(LossInputs(student(image), torch.zeros(SHAPE), NOTHING_KNOWN, image))
     torch.testing.assert_close(value, torch.zeros(()))
+
+
+def test_a_picture_of_the_canonical_camera_has_its_meters_at_any_size():
+    """Its focal length is 0.8 widths: at twice the width 102.4 px instead of 51.2."""
+    network = canonical_net(48, 64)
+    small, large = torch.rand(2, 3, 48, 64), torch.rand(2, 3, 96, 128)
+    torch.testing.assert_close(Teacher(network)(small), network(small))
+    torch.testing.assert_close(Teacher(network)(large), network(large, 102.4))
+
+
+def test_a_teacher_may_see_what_it_was_trained_at(tmp_path):
+    folder = canonical_net(48, 64).save_pretrained(tmp_path / "big")
+    assert zoo.build_teacher(str(folder), input_size="model").input_size == (48, 64)
+    with pytest.raises(
+        ValueError, match=r"input_size=own of teacher .*: give \[height, width\] in pixels or model"
+    ):
+        zoo.build_teacher(str(folder), input_size="own")
+    silent = small_net().save_pretrained(tmp_path / "silent")
+    with pytest.raises(
+        ValueError, match=r"input_size=model of teacher .*: give \[height, width\] in pixels$"
+    ):
+        zoo.build_teacher(str(silent), input_size="model")
 
 
 def test_the_teacher_can_see_images_of_another_size(networks):
