@@ -50,9 +50,9 @@ class TeacherLabels(FileDataset):
         root: folder of pictures of any size, also in folders below it. Hidden files and folders do not count.
         teacher: labels pictures that have no label yet, or changed since.
         mirror: average with the mirrored label of the mirrored picture.
-        focal: focal length of the teacher's training camera [widths of its input]. A network without a focal
-            length in its input sees every picture as its own camera's, so its meters are right for this
-            focal length. None: unknown.
+        focal: focal length of the teacher's training camera, or canonical camera [widths]. A network that is
+            not told a focal length sees every picture as that camera's, so its meters are right for it. None:
+            unknown.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.001 to 65 m unless given.
 
     Raises:

@@ -22,11 +22,15 @@ if __name__ == "__main__":
     open_split(data, "train", protocol=chosen_protocol(data, None))   # renders the rooms, labels the photographs
 PREPARE
 train() { # name, settings
+    local status=0
     timeout "$seconds" python -m eldenet.train "+experiment=$1" "output=$output/$1" ckpt_path=auto \
-        runtime.workers=4 runtime.threads=1 "${@:2}" > "$output/$1.log" 2>&1 || true
+        runtime.workers=4 runtime.threads=1 "${@:2}" > "$output/$1.log" 2>&1 || status=$?
     tail -n 1 "$output/$1.log"
+    [ "$status" = 124 ] || return "$status"   # 124: out of time
 }
 train rooms_lite_small_gpu "data.frames={train: $rooms, val: 64, test: 64}" "$@" &
 train indoor_lite_small_gpu "${mix[@]}" "$@" &
 train indoor_lite_gpu "${mix[@]}" "$@" &
-wait
+failed=0
+for job in $(jobs -p); do wait "$job" || failed=$?; done
+exit "$failed"
