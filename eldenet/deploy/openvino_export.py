@@ -74,7 +74,7 @@ def quantize_openvino(
             seen.add(name)
             stem += [name] * (kind == "Convolution" and not stem)
             exact += [name] * bool(given & of_lens)
-        elif given & of_lens:
+        elif given & of_lens or kind == "Convolution":  # of rays that a file of one lens holds
             of_lens.add(name)
             exact.append(name)
     with quiet():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from support.networks import picture, small_net
-from support.predicting import photo
+from support.predicting import photo, save
 
 from eldenet.compose import compose
 from eldenet.deploy import runtimes
@@ -71,6 +71,24 @@ def test_frames_have_that_lens_too(model: DepthNet, folder: Path, tmp_path: Path
     found = DepthPredictor(runtimes.load(path, threads=1), steady=False)(frame)
     expected = DepthPredictor(model, SIZE, steady=False)(frame, fov=FOV)
     assert np.abs(found / expected - 1).mean() < 0.005  # torch rounds the smaller frame
+
+
+@pytest.mark.parametrize(("format", "name"), [("onnx", "q.onnx"), ("openvino", "q.xml")])
+def test_int8_files_of_one_lens_stay_near(
+    model: DepthNet, folder: Path, tmp_path: Path, format: str, name: str
+) -> None:
+    if format == "openvino":
+        pytest.importorskip("nncf")
+    images = picture(*SIZE, batch=8)
+    for number, one in enumerate(images):
+        save(tmp_path / f"{number}.png", (one.permute(1, 2, 0).numpy() * 255).astype(np.uint8))
+    words = [f"format={format}", "precision=int8", f"pictures='{tmp_path}/*.png'", "opset=17"]
+    path = exported(folder, tmp_path / name, *words)
+    network = runtimes.load(path, threads=1)
+    assert (network.precision, read_metadata(path)["units"]) == ("int8", "meters")
+    with torch.inference_mode():
+        expected = model(images, focal_of_fov(FOV, SIZE[1])).numpy()
+    assert np.abs(network(images.numpy()) / expected - 1).mean() < 0.05
 
 
 def test_the_lens_is_that_of_the_whole_width(path: Path) -> None:
