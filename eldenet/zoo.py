@@ -96,12 +96,14 @@ def build_teacher(
         )
     find_checkpoint(source, "teacher", trained=not overrides)
     network = load(source, overrides=overrides, trusted_modules=trusted_modules)
+    size: Sequence[int] | None
     if isinstance(input_size, str):
-        trained = network.info.get("input_size")
-        if input_size != "model" or trained is None:
-            known = "" if trained is None else " or model"
+        size = network.info.get("input_size")
+        if input_size != "model" or size is None:
+            known = "" if size is None else " or model"
             raise ValueError(
                 f"input_size={input_size} of teacher {source}: give [height, width] in pixels{known}"
             )
-        input_size = trained
-    return Teacher(network, source=str(source), input_size=input_size)
+    else:
+        size = input_size
+    return Teacher(network, source=str(source), input_size=size)

@@ -36,6 +36,7 @@ class Teacher:
         self.source = source
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.autocast: Autocast = nullcontext
+        self._canonical_width: int | None = getattr(network, "config", {}).get("canonical_width")
         self._place: tuple[torch.device, torch.memory_format] | None = None
 
     @torch.no_grad()
@@ -60,8 +61,8 @@ class Teacher:
         takes_focal = getattr(self.network, "canonical_px", None) is not None
         with self.autocast():
             depth = (self.network(image, focal) if takes_focal else self.network(image)).float()
-        if takes_focal and focal is None:  # its canonical camera has pixels of the width of its training
-            depth = depth * (image.shape[-1] / self.network.config["canonical_width"])
+        if focal is None and self._canonical_width:  # whose pixels the canonical focal length is in
+            depth = depth * (image.shape[-1] / self._canonical_width)
         if depth.shape[-2:] != size:
             depth = F.interpolate(depth, size=size, mode="bilinear", align_corners=False)
         return depth
