@@ -53,6 +53,9 @@ class Node:
     def count_publishers(self, topic):
         return int(topic in self.published)
 
+    def create_service(self, kind, name, callback) -> None:
+        self.callbacks[name] = callback
+
     def create_timer(self, *arguments) -> None: ...
 
     def destroy_node(self) -> None: ...
@@ -72,7 +75,7 @@ class Node:
 def ros(monkeypatch):
     """Give a function that makes a node, by its file's name and its parameters."""
     parts = ("exceptions", "node", "qos", "signals")
-    for name in ("rclpy", *(f"rclpy.{part}" for part in parts), "message_filters"):
+    for name in ("rclpy", *(f"rclpy.{part}" for part in parts), "message_filters", "std_srvs.srv"):
         monkeypatch.setitem(sys.modules, name, MagicMock())
     monkeypatch.setattr(sys.modules["rclpy.exceptions"], "ParameterException", KeyError)
     monkeypatch.setattr(sys.modules["rclpy.node"], "Node", Node)
@@ -188,6 +191,22 @@ def test_a_depth_image_that_cannot_be_read_is_logged_and_does_not_count(drive) -
     drive.on_depth(image(np.zeros((120, 160, 3), np.uint8), "rgb8", when=12.95))
     assert "publish 32FC1" in drive.logger.error.call_args.args[0]
     assert decision(drive) == (0.0, 0.0)
+
+
+def test_after_a_reset_the_driver_stands_until_there_is_a_goal(drive) -> None:
+    for number in range(30):  # the odometry stands while the robot is told to drive
+        drive.now = when = 12.3 + 0.2 * number
+        drive.on_depth(depth_image(6.0 - 0.01 * number, when))
+        drive.on_odometry(odometry(0.0, when))
+        stopped = decision(drive) == (0.0, 0.0)
+    assert stopped
+    assert "reset() once that is over" in str(drive.logger.info.call_args)
+    response = drive.callbacks["~/reset"](None, SimpleNamespace())
+    assert (response.success, response.message) == (True, "send a goal")
+    assert decision(drive) == (0.0, 0.0)
+    assert "no goal" in str(drive.logger.info.call_args)
+    drive.on_goal(SimpleNamespace(header=header(when, "odom"), pose=odometry(5.0).pose.pose))
+    assert decision(drive)[0] > 0
 
 
 def test_the_driver_drives_by_a_lidar_instead_of_depth(ros) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
 
 from eldenet.data.ros_messages import read_depth, read_intrinsics, read_pose, seconds
 from eldenet.navigation.planners.plan_and_steer import PlanAndSteer
@@ -46,7 +47,8 @@ PARAMETERS = {
 class DriveNode(Node):
     """``depth/image``, ``.../camera_info``, ``.../sigma``, ``odom``, ``goal_pose`` -> ``cmd_vel``.
 
-    With ``lidar``, the name of a topic, a ``LaserScan`` takes the place of ``depth/...``.
+    With ``lidar``, the name of a topic, a ``LaserScan`` takes the place of ``depth/...``. The service
+    ``~/reset`` begins anew after a fault.
     """
 
     def __init__(self) -> None:
@@ -82,6 +84,7 @@ class DriveNode(Node):
         self.create_subscription(message("geometry_msgs/msg/PoseStamped"), "goal_pose", self.on_goal, 1)
         kind = "geometry_msgs/msg/TwistStamped" if chosen.stamped else "geometry_msgs/msg/Twist"
         self.velocity = self.create_publisher(message(kind), "cmd_vel", 1)
+        self.create_service(Trigger, "~/reset", self.on_reset)
         self.create_timer(ROBOT.period, self.decide)
 
     def on_info(self, info: Any) -> None:
@@ -130,6 +133,12 @@ class DriveNode(Node):
         place = goal.pose.position
         if wrong := self.pilot.aim(place.x, place.y, goal.header.frame_id):
             self.get_logger().error(wrong)
+
+    def on_reset(self, request: Any, response: Any) -> Any:
+        """Begin anew once a fault is over; the robot stands until it is given a goal."""
+        self.pilot.reset()
+        response.success, response.message = True, "send a goal"
+        return response
 
     def decide(self) -> None:
         """Publish a command."""

@@ -95,8 +95,7 @@ class Pilot:
     def move(self, pose: tuple[float, float, float], frame: str, stamp: float) -> None:
         """Take a pose x, y [m], heading [rad] in ``frame``; ``stamp`` [s]. A new frame ends the goal."""
         if self.frame != frame:
-            self.goal = None  # it was a place in the other frame
-            self.driver.reset()
+            self.reset()  # the goal was a place in the other frame
         if self.frame != frame or (self.poses and stamp < self.poses[-1][0]):  # the clock began anew
             self.poses.clear()
         if math.isfinite(stamp):
@@ -119,6 +118,11 @@ class Pilot:
         self.goal = (x, y)
         self._decided = None
         return ""
+
+    def reset(self) -> None:
+        """Forget what stopped the robot, what it saw and the goal: it stands until there is another."""
+        self.goal = None
+        self.driver.reset()
 
     def decide(self, now: float) -> Command:
         """Return the command at ``now`` [s]; call this every 0.2 s."""
