@@ -104,11 +104,13 @@ def camera_of(record: Any, source: object) -> Camera:
             "undistort the pictures first"
         )
     stored: Any = next((record[key] for key in _MATRICES if key in record), None)
+    sized = record
     if isinstance(stored, Mapping):
+        sized = {**record, **stored}  # a table of its own states its size, too
         stored = stored.get("data", [_first(stored, names) for names in _NUMBERS])
     if stored is None:
         stored = [_first(record, names) for names in _NUMBERS]
-    sides = [_first(record, names) for names in _SIDES]
+    sides = [_first(sized, names) for names in _SIDES]
     size = None if None in sides else (int(sides[0]), int(sides[1]))
     return Camera(_matrix(stored, source), size, _pose(record, source))
 

@@ -313,6 +313,11 @@ def test_times_in_names(name: str, time: float | None) -> None:
         ("k.json", '{"intrinsics": [[60, 0, 31], [0, 61, 24], [0, 0, 1]]}', None),
         ("k.json", '{"intrinsics": {"fx": 60, "fy": 61, "cx": 31, "cy": 24}}', None),
         (
+            "k.json",
+            '{"intrinsics": {"fx": 60, "fy": 61, "cx": 31, "cy": 24, "width": 64, "height": 48}}',
+            SIZE,
+        ),
+        (
             "k.yaml",
             "image_width: 64\nimage_height: 48\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
             "  data: [60, 0, 31, 0, 61, 24, 0, 0, 1]\n",
