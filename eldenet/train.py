@@ -111,7 +111,13 @@ def checked_parts(
         ValueError: a setting is wrong, or two do not fit each other; or ``weights`` do not fit the network.
     """
     from eldenet.evaluation.splits import chosen_protocol
-    from eldenet.training.initialization import canonical_camera, check_loss, check_range, initial_model
+    from eldenet.training.initialization import (
+        canonical_camera,
+        check_loss,
+        check_range,
+        check_sources,
+        initial_model,
+    )
     from eldenet.training.optim import build_optimizer, frozen_parts
 
     protocol = chosen_protocol(s.data, s.protocol)
@@ -127,6 +133,7 @@ def checked_parts(
     network = s.model | canonical_camera(s.canonical_focal, s.data["input_size"])
     model = initial_model(network, s.seed, weights, _trusted(s))
     check_loss(loss, model, s.teacher)
+    check_sources(loss, s.data)
     check_range(model, s.data)
     frozen_parts(model, trainer.freeze)
     try:

@@ -86,6 +86,20 @@ def check_loss(loss: WeightedSum, model: DepthNet, teacher: str | None) -> None:
     )
 
 
+def check_sources(loss: WeightedSum, data: Mapping[str, Any]) -> None:
+    """Raise ValueError if the loss learns nothing from a source of a mix whose depth is relative."""
+    terms = [term for term in loss.terms.values() if term.weight]
+    if any(term.applies_to == "relative" or not term.needs_depth for term in terms):
+        return
+    sources = data["train"]["sources"] if data["train"]["_target_"].endswith(".Mix") else {}
+    for name, source in sources.items():
+        if source.get("relative") and source.get("weight", 1.0):
+            raise ValueError(
+                f"data.sources.{name}.relative=true: no term of this loss learns from relative depth; use "
+                f"loss=ssim_l1_relative, or data.sources.{name}.relative=false for depth in meters"
+            )
+
+
 def check_range(model: DepthNet, data: Mapping[str, Any]) -> None:
     """Raise ValueError if the network cannot reach all depth that counts as known in frames of ``data``."""
     head = model.head

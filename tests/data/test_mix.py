@@ -20,7 +20,7 @@ from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.losses.base import LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.scale_shift import ScaleShiftInvariantLoss
-from eldenet.train import TrainSettings
+from eldenet.train import TrainSettings, checked_parts
 
 
 def mix(frames: int = 40, near: float = 3.0, far: float = 1.0, **options) -> Mix:
@@ -197,3 +197,11 @@ def test_a_mix_without_its_frames_names_its_own_setting(monkeypatch, tmp_path) -
     ):
         with pytest.raises(FileNotFoundError, match=said):
             check_folders(compose(TrainSettings, ["data=mix", *words]).data)
+
+
+def test_relative_depth_that_no_term_learns_from_is_refused() -> None:
+    words = ["data=mix", "model=eldenet_s", "data.sources.rooms.relative=true"]
+    with pytest.raises(ValueError, match=r"data\.sources\.rooms\.relative=true: no term .*=ssim_l1_relative"):
+        checked_parts(compose(TrainSettings, words))
+    for mended in ("loss=ssim_l1_relative", "data.sources.rooms.weight=0"):
+        checked_parts(compose(TrainSettings, [*words, mended]))
