@@ -1,6 +1,7 @@
 """Where a camera was during a drive, by the robot's wheel odometry or by any tracker's camera poses."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -50,7 +51,7 @@ class DrivePoses:
         """Return the pose ``(4, 4)`` of each picture, by name if the file has names, else by order.
 
         Raises:
-            ValueError: fewer than half of the pictures have a pose, or numbers differ.
+            ValueError: fewer than half of the pictures have a pose, numbers differ, or a name comes twice.
         """
         if self.names is None:
             if len(paths) != len(self.cameras):
@@ -59,7 +60,12 @@ class DrivePoses:
                     "picture, in their order, or name the picture of each row in a column image"
                 )
             return list(self.cameras)
-        known = {Path(name).name: pose for name, pose in zip(self.names, self.cameras, strict=True)}
+        names = [Path(name).name for name in self.names]
+        if twice := [name for name, count in Counter(names).items() if count > 1]:
+            raise ValueError(
+                f"{self.path} has {twice[0]} in several rows: give the poses of one folder, one row per picture"
+            )
+        known = dict(zip(names, self.cameras, strict=True))
         found = [known.get(path.name) for path in paths]
         count = sum(pose is not None for pose in found)
         if 2 * count < len(paths):

@@ -70,6 +70,14 @@ def test_camera_poses_belong_to_the_pictures_that_they_name(tmp_path):
         poses.of_pictures([Path("a.jpg"), Path("b.jpg")])
 
 
+def test_two_rows_of_one_picture_are_refused(tmp_path):
+    """Such as those of two cameras, whose folders name their pictures alike."""
+    table = matrices(tmp_path / "p.csv")
+    table.write_text(table.read_text().replace("place/07.jpg", "other/03.jpg"))
+    with pytest.raises(ValueError, match=r"p.csv has 03.jpg in several rows: give the poses of one folder"):
+        read_poses(table).of_pictures([Path(f"shots/{i:02d}.jpg") for i in range(12)])
+
+
 def test_poses_of_slam_in_tum_s_format_are_those_of_their_matrices(tmp_path):
     turned = "0 0.7071068 0 0.7071068"  # the camera looks along the world's x
     lines = [f"{1700000000 + 0.1 * i:.1f} {0.2 * i:.1f} 0 1.5 {turned}" for i in range(12)]
