@@ -63,7 +63,7 @@ class DrivePoses:
         names = [Path(name).name for name in self.names]
         if twice := [name for name, count in Counter(names).items() if count > 1]:
             raise ValueError(
-                f"{self.path} has {twice[0]} in several rows: give the poses of one folder, one row per picture"
+                f"{self.path} has {twice[0]} in several rows: give one row per picture, of one folder"
             )
         known = dict(zip(names, self.cameras, strict=True))
         found = [known.get(path.name) for path in paths]

@@ -74,7 +74,7 @@ def test_two_rows_of_one_picture_are_refused(tmp_path):
     """Such as those of two cameras, whose folders name their pictures alike."""
     table = matrices(tmp_path / "p.csv")
     table.write_text(table.read_text().replace("place/07.jpg", "other/03.jpg"))
-    with pytest.raises(ValueError, match=r"p.csv has 03.jpg in several rows: give the poses of one folder"):
+    with pytest.raises(ValueError, match=r"p.csv has 03.jpg in several rows: give one row per picture"):
         read_poses(table).of_pictures([Path(f"shots/{i:02d}.jpg") for i in range(12)])
 
 
