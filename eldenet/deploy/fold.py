@@ -22,7 +22,8 @@ def fold(model: DepthNet) -> DepthNet:
     """Return a copy of ``model`` for inference, in eval mode; its depth differs by rounding only.
 
     - Batch normalizations are folded into the convolution before them, in an ``nn.Sequential`` and in
-      torchvision's ResNet blocks. Subclasses are left alone, because they may do more.
+      torchvision's ResNet blocks. Subclasses are left alone, because they may do more, but for those of
+      ``nn.Sequential`` that call their layers in order as it does.
     - Every up-convolution becomes one 3x3 convolution and its activation on the small map, and a pixel
       shuffle (:func:`merge_upconv`).
 
@@ -30,7 +31,7 @@ def fold(model: DepthNet) -> DepthNet:
     """
     folded = copy.deepcopy(model).eval()
     for part in list(folded.modules()):
-        if isinstance(part, nn.Sequential):
+        if isinstance(part, nn.Sequential) and type(part).forward is nn.Sequential.forward:
             _fold_sequence(part)
         elif RESNET_PARTS & {f"{kind.__module__}.{kind.__qualname__}" for kind in type(part).__mro__}:
             _fold_numbered(part)
@@ -69,18 +70,18 @@ def _fold_numbered(part: nn.Module) -> None:
 
 def _fold_sequence(sequence: nn.Sequential) -> None:
     """Fold consecutive layers of ``sequence`` in place; folded layers become identities."""
-    parts = dict(sequence.named_children())
+    parts = dict(sequence._modules)  # named_children() leaves out a layer that comes again
     names = [*parts, ""]
     for name, after, last in zip(names, names[1:], names[2:], strict=False):
         layer, norm = parts[name], parts[after]
-        if type(norm) is not nn.BatchNorm2d:  # timm's contains its activation
+        if type(norm) is not nn.BatchNorm2d or norm.running_mean is None:  # timm's contains its activation
             continue
         if type(layer) in PLAIN:
             parts[name] = fuse_conv_bn_eval(layer, norm)  # type: ignore[type-var]
             parts[after] = nn.Identity()
         elif isinstance(layer, UpConv2d):
             scale = norm.weight / (norm.running_var + norm.eps).sqrt()  # type: ignore[operator,union-attr]
-            bias = norm.bias - norm.running_mean * scale  # type: ignore[operator]
+            bias = norm.bias - norm.running_mean * scale
             relu = parts.get(last)
             moves = isinstance(relu, nn.ReLU)  # beside its convolution it costs nothing
             parts[name] = merge_upconv(

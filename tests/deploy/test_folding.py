@@ -71,3 +71,39 @@ def test_subclasses_that_do_more_are_not_folded(parts: tuple[type, type]) -> Non
     model, image = DepthNet(network, LinearHead()).eval(), torch.rand(1, 3, *SIZE)
     with torch.inference_mode():
         assert map_errors(fold(model)(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
+
+
+class NormFirst(nn.Sequential):
+    """Calls its layers in another order, as blocks with pre-activation do."""
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        conv, norm = self
+        return conv(norm(input))
+
+
+def _relu_between_twice() -> nn.Module:
+    relu = nn.ReLU()  # of both places: modules() shows it once
+    parts = (nn.Conv2d(3, 4, 3), relu, nn.BatchNorm2d(4), nn.Conv2d(4, 4, 3), relu, nn.BatchNorm2d(4))
+    return nn.Sequential(*parts, nn.Conv2d(4, 1, 1))
+
+
+def _norm_first() -> nn.Module:
+    block = NormFirst(nn.Conv2d(4, 4, 3), nn.BatchNorm2d(4))
+    return nn.Sequential(nn.Conv2d(3, 4, 3), block, nn.Conv2d(4, 1, 1))
+
+
+def _norm_of_the_picture() -> nn.Module:
+    norm = nn.BatchNorm2d(4, track_running_stats=False)
+    return nn.Sequential(nn.Conv2d(3, 4, 3), norm, nn.Conv2d(4, 1, 1))
+
+
+@pytest.mark.parametrize("build", [_relu_between_twice, _norm_first, _norm_of_the_picture])
+def test_other_networks_are_folded_only_where_a_normalization_follows_its_convolution(build) -> None:
+    torch.manual_seed(0)
+    model, image = DepthNet(build(), LinearHead()).eval(), torch.rand(1, 3, *SIZE)
+    for part in model.modules():
+        if isinstance(part, nn.BatchNorm2d) and part.running_mean is not None:
+            part.running_mean.uniform_(-0.5, 0.5)
+            part.running_var.uniform_(0.1, 0.5)
+    with torch.inference_mode():
+        assert map_errors(fold(model)(image).numpy(), model(image).numpy())["max_relative"] < ROUNDING
