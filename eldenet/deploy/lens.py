@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Union
 import numpy as np
 
 from eldenet.data.kitti_calibration import object_camera
-from eldenet.deploy.predictor import NO_FOCAL, check_known_lens
+from eldenet.deploy.predictor import NO_FOCAL
+from eldenet.deploy.runtimes.base import check_known_lens
 from eldenet.geometry import (
     PinholeCamera,
     check_focal,

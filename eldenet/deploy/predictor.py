@@ -2,7 +2,6 @@
 
 import functools
 import logging
-import math
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldenet.deploy.runtimes.base import Runtime, check_depth
+from eldenet.deploy.runtimes.base import Runtime, check_depth, check_known_lens
 from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
-from eldenet.geometry import BORDER_COLOR, fit_into, focal_length, focal_of_fov, resize_image, size_of_aspect
+from eldenet.geometry import BORDER_COLOR, fit_into, focal_length, resize_image, size_of_aspect
 from eldenet.system.resources import check_torch_device, full_fp32
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 
@@ -29,7 +28,6 @@ NO_FOCAL = (
     "this network ignores focal lengths: the camera does not change the depth, whose meters are right for "
     "the lens of its training only (to change that, train with canonical_focal)"
 )
-SAME_LENS = 0.02  # relative difference of focal lengths
 
 
 class DepthPredictor:
@@ -267,20 +265,6 @@ def for_camera(
     if isinstance(predictor, DepthPredictor) and (predictor.canonical_px or predictor.known_fov):
         return functools.partial(predictor, intrinsics=intrinsics)
     return predictor
-
-
-def check_known_lens(fov: float, focal: float, width: int) -> None:
-    """Refuse fx [px] of pictures of a ``width`` that is not that of the file's ``fov`` [degrees].
-
-    Raises:
-        ValueError: they differ by more than 2 %.
-    """
-    if abs(focal / focal_of_fov(fov, width) - 1) > SAME_LENS:
-        given = math.degrees(2 * math.atan(width / 2 / focal))
-        raise ValueError(
-            f"pictures {width} px wide with fx {focal:.0f} px have fov={given:.0f}, but this file was "
-            f"exported for fov={fov:g}: give pictures of that camera, or export a file for this one"
-        )
 
 
 def as_image(frame: np.ndarray) -> np.ndarray:

@@ -62,9 +62,9 @@ def predict_spread(
 
 
 def _camera(model: nn.Module, focal: Tensor | None) -> tuple[Tensor, ...]:
-    """What ``model`` is given after the image: the focal lengths, if it takes them."""
-    takes = focal is not None and getattr(model, "canonical_px", None) is not None
-    return (focal,) if takes else ()  # type: ignore[return-value]
+    """What ``model`` is given after the image: the focal lengths, if it takes them or is for one lens."""
+    takes = any(getattr(model, name, None) is not None for name in ("canonical_px", "fov"))
+    return (focal,) if focal is not None and takes else ()
 
 
 def evaluate(

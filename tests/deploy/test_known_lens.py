@@ -1,5 +1,6 @@
 """Files of one camera: ``export fov=`` tells the file its lens, and another lens is refused."""
 
+import math
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,8 @@ from eldenet.compose import compose
 from eldenet.deploy import runtimes
 from eldenet.deploy.metadata import read_metadata
 from eldenet.deploy.predictor import DepthPredictor, for_camera
+from eldenet.deploy.runtimes.module import RuntimeNetwork
+from eldenet.evaluation.evaluator import predict_depth, predict_spread
 from eldenet.export import ExportSettings, export
 from eldenet.geometry import BORDER_COLOR, focal_of_fov, pinhole
 from eldenet.heads import LogHead, UncertainHead
@@ -109,6 +112,21 @@ def test_another_lens_is_refused_and_its_own_is_not(path: Path) -> None:
         predictor(frame, focal=other)
     with pytest.raises(ValueError, match="exported for fov=70"):
         for_camera(predictor, pinhole(other, other, 47.5, 23.5))(frame)
+
+
+def test_a_runtime_and_a_score_refuse_another_lens_too(path: Path) -> None:
+    images, own = picture(*SIZE, batch=2), focal_of_fov(FOV, SIZE[1])
+    for runtime in ("onnxruntime", "openvino"):
+        network = runtimes.load(path, runtime, threads=1)
+        expected = network(images.numpy())
+        np.testing.assert_array_equal(network(images.numpy(), [own, 0.0]), expected)
+        scored = predict_depth(RuntimeNetwork(network), images, torch.tensor([own, math.nan]))
+        np.testing.assert_array_equal(scored.numpy(), expected)
+        with pytest.raises(ValueError, match="fx 69 px have fov=50, but this file was exported for fov=70"):
+            network(images.numpy(), focal_of_fov(50, SIZE[1]))
+        for predicted in (predict_depth, predict_spread):
+            with pytest.raises(ValueError, match="exported for fov=70"):
+                predicted(RuntimeNetwork(network), images, torch.tensor([own, 1.5 * own]))
 
 
 def test_predict_says_the_files_lens(run_command, path: Path, tmp_path: Path) -> None:

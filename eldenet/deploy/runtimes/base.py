@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from eldenet.geometry import check_one_per_image
+from eldenet.geometry import check_one_per_image, focal_of_fov
 from eldenet.system.checks import check_largest, check_size, one_of
 from eldenet.system.errors import reading
 from eldenet.system.files import parse_json
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 FOCAL = "focal"  # name of the second input of files whose network sees rays
 PRECISIONS = ("fp32", "bf16", "fp16", "int8")
+SAME_LENS = 0.02  # relative difference of focal lengths
 
 
 class Runtime:
@@ -150,7 +151,7 @@ class Runtime:
 
         Raises:
             ValueError: this network takes images of another shape, type or range, another number of focal
-                lengths, or does not answer with depth.
+                lengths, or another lens, or does not answer with depth.
         """
         (depth,) = self._meters(images, focal, self.run)
         if isinstance(images, np.ndarray):
@@ -171,6 +172,11 @@ class Runtime:
         """What ``run`` answers, a map or several, in meters."""
         checked = self._checked(images)
         lens = None
+        if focal is not None and self.fov is not None:
+            width = checked.shape[2 if self.takes_frames else 3]
+            for fx in np.asarray(focal, np.float32).reshape(-1).tolist():
+                if fx > 0:
+                    check_known_lens(self.fov, fx, width)
         if focal is not None and self.canonical_px is not None:
             check_one_per_image(focal, len(checked))
             given = np.asarray(focal, np.float32).reshape(-1)
@@ -224,6 +230,20 @@ def check_depth(depth: np.ndarray) -> None:
         raise ValueError(
             f"the network's depth is {depth.min():.3g} to {depth.max():.3g} m, but must be above 0: is it a "
             "disparity, or a map before its last layer? Export one that answers in meters"
+        )
+
+
+def check_known_lens(fov: float, focal: float, width: int) -> None:
+    """Refuse fx [px] of pictures of a ``width`` that is not that of the file's ``fov`` [degrees].
+
+    Raises:
+        ValueError: they differ by more than 2 %.
+    """
+    if abs(focal / focal_of_fov(fov, width) - 1) > SAME_LENS:
+        given = math.degrees(2 * math.atan(width / 2 / focal))
+        raise ValueError(
+            f"pictures {width} px wide with fx {focal:.0f} px have fov={given:.0f}, but this file was "
+            f"exported for fov={fov:g}: give pictures of that camera, or export a file for this one"
         )
 
 

@@ -24,13 +24,14 @@ class RuntimeNetwork(nn.Module):
         if network.takes_frames:
             raise ValueError("this file takes camera frames: to score the network, export it without camera=")
         self.network = network
-        self.info, self.canonical_px = network.info, network.canonical_px
+        self.info, self.canonical_px, self.fov = network.info, network.canonical_px, network.fov
         self.distribution = network.distribution
 
     def forward(self, image: Tensor, focal: Tensor | None = None, *, with_spread: bool = False) -> Any:
         """Depth [m] on the image's device; ``with_spread``: and the standard deviation of ln depth.
 
-        ``focal (B,)`` is fx [px of ``image``], for files with ``canonical_px``.
+        ``focal (B,)`` is fx [px of ``image``], for files with ``canonical_px``, and for those of one lens,
+        which refuse another.
         """
         if self.network.fixed_size not in (None, tuple(image.shape[-2:])):
             raise ValueError(
