@@ -252,7 +252,7 @@ class CameraNet(nn.Module):
         self.blocks = (whole[0], whole[1]) if len(whole) == 2 else None
         rows, cols = (area_weights(given, seen) if self.shrinks else torch.eye(1) for given, seen in pairs)
         self.register_buffer("rows", rows)
-        self.register_buffer("cols", cols.T.contiguous())
+        self.register_buffer("cols", cols)
 
     def forward(self, frame: Tensor, focal: Tensor | None = None) -> Tensor | tuple[Tensor, ...]:
         """``frame (B, H, W, 3)`` uint8 RGB -> depth ``(B, 1, H, W)`` [m], or the maps of the model.
@@ -280,7 +280,8 @@ class CameraNet(nn.Module):
             return F.interpolate(image, size=self.input_size, mode="bilinear", align_corners=False)
         if self.blocks is not None:
             return F.avg_pool2d(image, self.blocks)
-        return (self.rows @ image) @ self.cols
+        # transposed: OpenVINO fails where what follows is per channel and it joins that to a product
+        return (self.cols @ (self.rows @ image).transpose(2, 3)).transpose(2, 3)
 
 
 class LensNet(nn.Module):

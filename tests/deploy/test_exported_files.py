@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support.networks import small_net
 from support.rooms_network import ROUNDING, SIZE
 
 import eldenet
@@ -84,3 +85,17 @@ def test_an_opset_that_cannot_express_a_network_is_refused(tmp_path: Path) -> No
     with pytest.raises(ValueError, match="opset=11 cannot express this network: "):
         write_onnx(eldenet.load("meter_xxs"), tmp_path / "m.onnx", SIZE, batch=1, opset=11)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("opset", "batch"), [(18, None), (18, 1), (17, None)])
+def test_openvino_takes_frames_that_are_no_multiple_of_the_networks_size(
+    tmp_path: Path, opset: int, batch: int | None
+) -> None:
+    model, camera = small_net(), (75, 150)
+    facts = describe(model, "small", SIZE, camera_size=camera)
+    path = write_onnx(model, tmp_path / "c.onnx", SIZE, opset=opset, batch=batch, camera_size=camera)
+    frames = np.random.default_rng(0).integers(0, 255, (batch or 3, *camera, 3), dtype=np.uint8)
+    expected = runtimes.load(path, "onnxruntime", threads=1).run(frames)
+    for file in (path, write_openvino(path, tmp_path / "c.xml", facts)):
+        found = runtimes.load(file, "openvino", threads=1).run(frames)
+        np.testing.assert_allclose(found, expected, rtol=1e-3)
