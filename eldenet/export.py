@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 ENDINGS = {"onnx": ".onnx", "openvino": ".xml"}
 PRECISIONS = {"onnx": ("fp32", "int8"), "openvino": ("fp32", "bf16", "int8")}
+INT8_OPSET = 13  # the oldest with scales per channel
 FP32_TOLERANCE = 1e-3  # an fp32 file with a larger median relative difference is wrong, not rounded
 INT8_TOLERANCE = 0.02  # an int8 file with a larger median relative difference is worth a warning
 
@@ -75,6 +76,10 @@ class ExportSettings:
                 f"{', '.join(PRECISIONS[self.format])}"
                 + ("; for bf16 give format=openvino" if self.precision == "bf16" else "")
             )
+        if self.precision == "int8" and self.format == "onnx" and self.opset < INT8_OPSET:
+            raise ValueError(
+                f"opset={self.opset}: int8 in ONNX has a scale per channel: give {INT8_OPSET} or more"
+            )
         at_least(1, calibration=self.calibration, checks=self.checks)
         if self.output is not None and Path(self.output).suffix != ENDINGS[self.format]:
             raise ValueError(
@@ -101,7 +106,8 @@ def export(s: ExportSettings) -> Path:
     """Write the file, compare it with torch, and print what it contains.
 
     Raises:
-        ValueError: the file already exists, the pictures are missing, or an fp32 file differs from torch.
+        ValueError: the file already exists, the pictures are missing, no runtime loads the file, or an fp32
+            file differs from torch.
     """
     needed = ["onnx", "onnxscript"] + ["openvino"] * (s.format == "openvino")
     if s.precision == "int8":
@@ -195,7 +201,7 @@ def compare_with_torch(
     """Print the differences between torch and the file under each installed runtime, of depth and sigma.
 
     Raises:
-        ValueError: an output of an fp32 file differs from torch's.
+        ValueError: an output of an fp32 file differs from torch's, or no installed runtime loads the file.
     """
     from eldenet.deploy import runtimes
     from eldenet.deploy.predictor import DepthPredictor
@@ -221,12 +227,13 @@ def compare_with_torch(
         # float32: resizing must not round to gray levels, as camera files do not
         answer = predictor.estimate_unrounded(picture.astype(np.float32), lens)
         reference.append(answer if with_sigma else DepthEstimate(answer))
-    rows, inputs = [], [as_input(picture, target) for picture in seen]
+    rows, fault, inputs = [], "", [as_input(picture, target) for picture in seen]
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
         try:
             network = runtimes.load(output, name, threads=1)
         except ValueError as error:
-            log.say(f"not compared under {name}: {error}")
+            fault = str(error)
+            log.say(f"not compared under {name}: {fault}")
             continue
         estimates = [network.predict(*given) for given in zip(inputs, lenses, strict=True)]
         for kind in outputs:
@@ -244,6 +251,8 @@ def compare_with_torch(
                     f"median pixel and {found['max_relative']:.0%} in the worst; compare its accuracy, give "
                     "pictures of the place where it will run, or keep fp32"
                 )
+    if fault and not rows and s.precision != "bf16":  # which another processor may have
+        raise ValueError(f"{output} was removed, as no runtime here loads it ({fault})")
     title = (
         f"{target.name}, {s.precision}: the file beside torch on {len(seen)} pictures, seen at "
         f"{target.size[0]} x {target.size[1]}"

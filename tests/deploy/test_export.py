@@ -179,6 +179,18 @@ def test_a_costly_int8_file_is_warned_of(
     assert ("is 5.0% off torch in the median pixel and 200% in the worst" in said) == warned
 
 
+def test_a_file_that_no_runtime_loads_is_removed(
+    model_folder: Path, photos: Path, tmp_path: Path, monkeypatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise ValueError("an operation is missing")
+
+    monkeypatch.setattr(runtimes, "load", refuse)
+    with pytest.raises(ValueError, match=r"removed, as no runtime here loads it \(an operation is missing\)"):
+        run(model_folder, photos, f"output='{tmp_path / 'm.onnx'}'")
+    assert not list(tmp_path.glob("m.*"))
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
@@ -192,6 +204,7 @@ def test_a_costly_int8_file_is_warned_of(
         (["calibration=0"], "calibration=0: give a whole number, 1 or more"),
         (["checks=0"], "checks=0: give a whole number, 1 or more"),
         (["opset=5"], "opset=5: choose 11 to 18"),
+        (["opset=12", "precision=int8"], "opset=12: int8 in ONNX has a scale per channel: give 13 or more"),
         (["pictures=/nowhere/*.jpg"], "holds no pictures: give a folder, or a pattern"),
     ],
 )
