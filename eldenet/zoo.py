@@ -79,8 +79,8 @@ def build_teacher(
         source: run folder, saved model, Hub id or name, as in :func:`load`.
         overrides: for a name of :func:`list_models`, which needs them to get trained weights
             (``model.network.weights=...``).
-        input_size: ``(height, width)`` of the images that the teacher sees [px]; "model": as in its training;
-            None: the student's.
+        input_size: ``(height, width)`` of the images that the teacher sees [px]; "model": that of whole
+            frames in its training; None: the student's.
         trusted_modules: as in :func:`load`.
 
     Raises:
@@ -88,6 +88,7 @@ def build_teacher(
             training and is to see that.
     """
     from eldenet.losses.distillation import Teacher
+    from eldenet.model import size_of_frames
 
     if source is None:
         raise ValueError(
@@ -96,14 +97,12 @@ def build_teacher(
         )
     find_checkpoint(source, "teacher", trained=not overrides)
     network = load(source, overrides=overrides, trusted_modules=trusted_modules)
-    size: Sequence[int] | None
     if isinstance(input_size, str):
-        size = network.info.get("input_size")
-        if input_size != "model" or size is None:
-            known = "" if size is None else " or model"
+        size = size_of_frames(network.info) if input_size == "model" else None
+        if size is None:
             raise ValueError(
-                f"input_size={input_size} of teacher {source}: give [height, width] in pixels{known}"
+                f"teacher.input_size={input_size}: give [height, width] in pixels, or model for a teacher "
+                "that states the size of its training"
             )
-    else:
-        size = input_size
-    return Teacher(network, source=str(source), input_size=size)
+        input_size = size
+    return Teacher(network, source=str(source), input_size=input_size)

@@ -102,15 +102,15 @@ def test_a_picture_of_the_canonical_camera_has_its_meters_at_any_size():
 def test_a_teacher_may_see_what_it_was_trained_at(tmp_path):
     folder = canonical_net(48, 64).save_pretrained(tmp_path / "big")
     assert zoo.build_teacher(str(folder), input_size="model").input_size == (48, 64)
-    with pytest.raises(
-        ValueError, match=r"input_size=own of teacher .*: give \[height, width\] in pixels or model"
-    ):
-        zoo.build_teacher(str(folder), input_size="own")
+    crops = {"input_size": [48, 64], "whole_frame_size": [96, 128]}
+    whole = small_net().save_pretrained(tmp_path / "crops", info=crops)
+    assert zoo.build_teacher(str(whole), input_size="model").input_size == (96, 128)
     silent = small_net().save_pretrained(tmp_path / "silent")
-    with pytest.raises(
-        ValueError, match=r"input_size=model of teacher .*: give \[height, width\] in pixels$"
-    ):
-        zoo.build_teacher(str(silent), input_size="model")
+    for source, given in ((folder, "own"), (silent, "model")):
+        with pytest.raises(
+            ValueError, match=rf"teacher\.input_size={given}: give \[height, width\] in pixels"
+        ):
+            zoo.build_teacher(str(source), input_size=given)
 
 
 def test_the_teacher_can_see_images_of_another_size(networks):
