@@ -45,7 +45,8 @@ def scan_to_ranges(scan: Scan) -> np.ndarray:
     away = np.where(known, np.minimum(ranges.astype(np.float64), _BEYOND), _BEYOND)
     x, y = ahead + away * np.cos(angles), away * np.sin(angles)
     known &= (np.abs(x) > ROBOT.length / 2) | (np.abs(y) > ROBOT.width / 2)
-    x -= ROBOT.camera_ahead
+    away = np.where(known, away, _BEYOND)  # a mast behind the camera's place hides what is ahead
+    x, y = ahead + away * np.cos(angles) - ROBOT.camera_ahead, away * np.sin(angles)
     column = _columns(np.arctan2(y, x))
     out = np.full(ALL_ROUND.columns + 1, np.inf)  # the last one is behind, where no column fits
     np.minimum.at(out, column[known], np.hypot(x, y)[known])

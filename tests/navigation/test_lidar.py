@@ -77,6 +77,14 @@ def test_the_robot_itself_is_no_obstacle():
     assert np.isnan(scan_to_ranges(Scan(ranges, ANGLES))[np.abs(COLUMNS - 2.0).argmin()])
 
 
+@pytest.mark.parametrize(("ahead", "away"), [(0.2, 0.08), (0.1, 0.05), (0.0, 0.15), (-0.2, 0.3)])
+def test_what_a_mast_ahead_hides_reads_as_near(ahead, away):
+    ranges = np.full(720, 5.0)
+    ranges[np.abs(ANGLES) < np.radians(8)] = away  # behind the camera's place, but in one case
+    columns = scan_to_ranges(Scan(ranges, ANGLES, ahead))
+    assert (columns[np.abs(COLUMNS) < np.radians(6)] == ROBOT.near).all()
+
+
 @DRIVERS
 def test_it_remembers_what_lies_beside_it(make):
     driver = make()
