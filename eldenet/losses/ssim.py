@@ -47,7 +47,8 @@ class GaussianBlur(nn.Module):
         name = f"of_{length}"
         kept = self._buffers.get(name)
         if kept is None or kept.dtype != maps.dtype or kept.device != maps.device:
-            kept = _blur_matrix(length, self.window).to(maps)
+            with torch.inference_mode(False):  # kept: training may use one that an evaluation made
+                kept = _blur_matrix(length, self.window).to(maps.device, maps.dtype)
             self.register_buffer(name, kept, persistent=False)
         return kept
 
