@@ -9,7 +9,7 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
-from eldenet.geometry import PinholeCamera
+from eldenet.geometry import PinholeCamera, level_rotation
 from eldenet.navigation.ranges import CAUTION, MOST_TILTED, columns_of, depth_to_ranges, footprints_to_ranges
 from eldenet.navigation.sensors import FED_BY, Drift, Observation, SensorInstance, SimulatedSensor
 from eldenet.perception.detectors import Detector
@@ -115,7 +115,7 @@ class CameraInstance:
 
     def __init__(self, sensor: Camera, world: ArenaWorld, view: ArenaView, rng: np.random.Generator) -> None:
         self.sensor, self.world, self.view, self.rng = sensor, world, view, rng
-        self.camera = PinholeCamera(view.intrinsics)
+        self.camera = PinholeCamera(view.intrinsics, level_rotation(sensor.pitch))
         self.photo: Photo
         if sensor.artifacts is not None:
             self.dead = sensor.artifacts.draw_dead(sensor.size[1], rng)
@@ -161,11 +161,13 @@ def near_faces(boxes: Boxes3D, detections: Detections2D, camera: PinholeCamera) 
     A box only counts in the columns that its detection covers: the corners of a box around a round object
     stick out of its outline.
     """
-    k = camera.intrinsics
-    at = k[0, 2] - k[0, 0] * np.tan(ROBOT.column_angles)  # pixel at the middle of each column
+    to_right = -np.array(ROBOT.column_angles)
     out = np.full(ROBOT.columns, ROBOT.far)
-    for footprint, (left, _, right, _) in zip(footprints(boxes), detections.xyxy, strict=True):
-        seen = (at >= left) & (at <= right)
+    for footprint, (left, top, right, bottom) in zip(footprints(boxes), detections.xyxy, strict=True):
+        middle = (top + bottom) / 2
+        x, _, z = camera.homography @ [[left, right], [middle, middle], [1, 1]]
+        first, last = np.arctan2(x, z)
+        seen = (to_right >= first) & (to_right <= last)
         out = np.minimum(out, np.where(seen, footprints_to_ranges(footprint[None]), ROBOT.far))
     return out
 

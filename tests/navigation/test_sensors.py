@@ -132,6 +132,16 @@ def test_a_camera_that_looks_down_sees_the_same_ranges():
         Camera(pitch=40)
 
 
+@pytest.mark.parametrize("pitch", [0.0, 10.0, 20.0, 28.0])
+def test_boxes_are_the_same_for_a_camera_that_looks_down(pitch):
+    seen = instance_of(Camera(lifter=objects().lifter, pitch=pitch)).scan()
+    for one in (BOX, PILLAR):
+        where = (-one.y, one.x - ROBOT.camera_ahead)
+        assert np.hypot(*(seen.boxes.center[:, [0, 2]] - where).T).min() < 0.15, one
+        column = np.abs(np.array(ROBOT.column_angles) + np.arctan2(*where)).argmin()
+        assert seen.fed_by[column] == 2  # its face counts where it is
+
+
 def test_undetected_obstacles_come_from_depth():
     pillar, true = pillar_columns()
     found = simulated_detections(ArenaView(ARENA, (120, 160)).photo(ARENA.start), ARENA)
