@@ -22,6 +22,7 @@ LEAST_VIEW = 50.0  # of a camera, half of it to each side [degrees]
 LOWEST_CAMERA = 0.01  # [m]
 MOST_TILTED = 0.5  # pitch and roll of a camera; more are degrees given as radians [rad]
 CAUTION = 0.8  # of the interval of depth whose low end is how near things may be
+STANDS = 0.9  # share of the floor's depth below which a pixel shows what stands on the floor
 _BEYOND = 100.0  # stands for infinite [m]
 
 
@@ -42,8 +43,8 @@ def depth_to_ranges(
     pixels in an otherwise empty column are not an obstacle.
 
     Infinite depth means nothing in range (ROS REP 117), negative infinite depth something too close. Unknown
-    pixels (0, negative, nan) count as an object that stands on the floor right above the last visible floor
-    below them: small holes end below ``heights`` and are ignored, a patch that could hide an obstacle is one.
+    pixels (0, negative, nan) belong to the object that is visible right below them, or stand on the floor
+    there: small holes end below ``heights`` and are ignored, a patch that could hide an obstacle is one.
     Without visible floor below, the camera may be blind close up, and the column reads as near.
 
     Columns beside the camera's view are nan. It must see at least :data:`LEAST_VIEW` degrees.
@@ -120,9 +121,11 @@ def _rows_at(
 def _standing_on_the_floor(
     depth: np.ndarray, known: np.ndarray, down: np.ndarray, camera_height: float, lowest: float
 ) -> np.ndarray:
-    """Depth ``(H, W)`` with unknown pixels at the distance of the last visible floor in their column."""
+    """Depth ``(H, W)`` with unknown pixels where what their column shows right below them stands."""
     with np.errstate(divide="ignore"):
-        floor = np.where(down > 0, camera_height / down, _BEYOND)
+        floor = np.broadcast_to(np.where(down > 0, camera_height / down, _BEYOND), depth.shape).copy()
+    stands = known[1:] & (depth[1:] < STANDS * floor[1:])  # the shoes below black trousers
+    floor[:-1][stands] = depth[1:][stands]
     filled, at = depth.copy(), np.full(depth.shape[1], np.nan)
     below = np.full(depth.shape[1], False)  # a pixel below is known
     for row in range(len(depth) - 1, -1, -1):

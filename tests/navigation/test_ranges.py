@@ -55,6 +55,16 @@ def test_an_unknown_patch_is_an_obstacle_where_it_meets_the_floor(at, top):
     assert got.min() < at * 1.06
 
 
+@pytest.mark.parametrize("shoes", [0.02, 0.06, 0.10, 0.14])
+@pytest.mark.parametrize("at", [1.2, 2.0, 4.0])
+def test_an_unknown_patch_is_as_near_as_what_is_visible_below_it(at, shoes):
+    depth, intrinsics = hall((at, -0.3, 0.3, 1.7), size=(480, 640))  # black trousers
+    true = depth_to_ranges(depth, intrinsics)
+    lower, _ = hall((at, -0.3, 0.3, shoes), size=(480, 640))
+    depth[(depth == at) & (lower != at)] = np.nan
+    assert depth_to_ranges(depth, intrinsics) == pytest.approx(true, rel=0.1)
+
+
 def test_infinite_depth_is_far_and_missing_depth_is_near():
     depth, intrinsics = hall()
     assert (depth_to_ranges(np.where(depth > 5, np.inf, depth), intrinsics) == ROBOT.far).all()
