@@ -23,14 +23,16 @@ from eldenet.geometry import (
     focal_of_film,
     intrinsic_matrix,
     pinhole,
+    same_aspect,
 )
+from eldenet.system.errors import warn_once
 from eldenet.system.extras import installed
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 Photo = Union[Path, "Image"]  # a file, or a PIL picture that was not turned yet
-EXIF_BLOCK, FOCAL_35MM = 0x8769, 0xA405
+EXIF_BLOCK, FOCAL_35MM, EXIF_WIDTH, EXIF_HEIGHT = 0x8769, 0xA405, 0xA002, 0xA003
 UNKNOWN_LENS = "unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
 
 
@@ -156,7 +158,8 @@ def needs_lens(what: str, sources: Sequence[Path | str], *, is_video: bool) -> N
 def exif_focal(photo: Photo, size: tuple[int, int]) -> float | None:
     """Return fx [px] of a photo of ``(height, width)`` from its EXIF's focal length in 35 mm; None without.
 
-    Turning a photo upright does not change the result: it has the same diagonal and square pixels.
+    Turning a photo upright does not change the result: it has the same diagonal and square pixels. A crop of
+    another shape than the photo's, which keeps its EXIF, has another diagonal: None.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -166,10 +169,19 @@ def exif_focal(photo: Photo, size: tuple[int, int]) -> float | None:
         register_heif_opener()
     try:
         with Image.open(photo) if isinstance(photo, Path) else nullcontext(photo) as opened:
-            millimeters = float(opened.getexif().get_ifd(EXIF_BLOCK).get(FOCAL_35MM, 0))
+            exif, shape = opened.getexif().get_ifd(EXIF_BLOCK), (opened.height, opened.width)
+            millimeters = float(exif.get(FOCAL_35MM, 0))
+            taken = float(exif.get(EXIF_HEIGHT, 0)), float(exif.get(EXIF_WIDTH, 0))
     except (UnidentifiedImageError, OSError, ValueError, TypeError, SyntaxError):
         return None  # the picture itself was read; what its EXIF holds is not worth an error
     if not millimeters > 0:
+        return None
+    if min(taken) > 0 and not (same_aspect(taken, shape) or same_aspect(taken[::-1], shape)):
+        name = photo if isinstance(photo, Path) else "the picture"
+        warn_once(
+            f"{name} was cropped or stretched from {taken[0]:g} x {taken[1]:g} to {shape[0]} x {shape[1]} "
+            "(height, width): the EXIF's lens is not used"
+        )
         return None
     focal = focal_of_film(millimeters, size)
     try:

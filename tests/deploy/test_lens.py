@@ -149,6 +149,24 @@ def test_exif_knows_the_lens_of_a_photo_however_it_was_held(tmp_path: Path) -> N
     assert exif_focal(photo_with_exif(tmp_path / "d.jpg", (48, 64), 0), (48, 64)) is None
 
 
+def test_exif_of_a_crop_of_another_shape_is_not_its_lens(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    exif = Image.Exif()
+    exif[0x8769] = {0xA405: 26, 0xA002: 64, 0xA003: 48}
+    Image.fromarray(photo(48, 64)).save(tmp_path / "a.jpg", exif=exif)
+    opened = Image.open(tmp_path / "a.jpg")
+    whole = 26 * 80 / 43.27
+    assert exif_focal(opened, (48, 64)) == pytest.approx(whole)
+    assert exif_focal(opened.resize((32, 24)), (24, 32)) == pytest.approx(whole / 2)
+    assert exif_focal(opened.transpose(Image.Transpose.ROTATE_90), (64, 48)) == pytest.approx(whole)
+    assert not caplog.text
+    assert exif_focal(opened.crop((0, 0, 48, 48)), (48, 48)) is None  # whole x 68 / 80 by its diagonal
+    assert "cropped or stretched from 48 x 64 to 48 x 48" in caplog.text
+    opened.crop((0, 0, 24, 48)).save(tmp_path / "b.jpg", exif=exif)
+    assert exif_focal(tmp_path / "b.jpg", (48, 24)) is None
+
+
 def test_given_beats_exif_beats_canonical(tmp_path: Path) -> None:
     path = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
     assert Lens(50.0, focal=70.0).focal_of((48, 64), path) == 70.0
