@@ -13,6 +13,7 @@ from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED, listed
 from eldenet.data.splits import check_folders, split_settings
 from eldenet.deploy.runtimes import check_installed
+from eldenet.geometry import size_of_aspect
 from eldenet.system.checks import at_least
 from eldenet.system.resources import choose_resources
 from eldenet.weights import find_checkpoint
@@ -37,7 +38,8 @@ class EvaluateSettings:
     engine: str = "auto"  # for exported files: onnxruntime, openvino, or auto (the fastest)
     precision: str | None = None  # for exported files: bf16 (openvino only); null: the file's own
     split: str = "test"  # train, val or test
-    # [height, width] of the network's input; model: as in training, at the same scale; data: data.input_size
+    # [height, width] of the network's input; model: as in training, at the same scale, and as predict in the
+    # frames' own aspect ratio; data: data.input_size
     input_size: Any = "model"
     # folder: fit the temperature of the network's sigma on these frames and save the network there
     calibrated: str | None = None
@@ -146,12 +148,32 @@ def chosen_size(
     s: EvaluateSettings, protocol: "EvalProtocol", model: "DepthNet | RuntimeNetwork", log: "RunLog"
 ) -> Sequence[int] | None:
     """Return ``(height, width)`` [px] that the network sees; None: the data set's own."""
-    wanted = trained_size(model, protocol) if s.input_size == "model" else s.input_size
+    wanted = size_of_frames_shown(s, protocol, model) if s.input_size == "model" else s.input_size
     of_data = s.data["input_size"]
     if wanted is None or isinstance(wanted, str) or list(wanted) == of_data:
         return None
     log.say(f"the network sees {wanted[0]} x {wanted[1]} pixels, data.input_size={of_data} is not used")
     return wanted
+
+
+def size_of_frames_shown(
+    s: EvaluateSettings, protocol: "EvalProtocol", model: "DepthNet | RuntimeNetwork"
+) -> Sequence[int] | None:
+    """``(height, width)`` [px] at which ``model`` sees the frames to score, as predict would: not squeezed.
+
+    A file of fixed size has no other. Of frames of several sizes, the first one decides.
+    """
+    from eldenet.deploy.runtimes.module import RuntimeNetwork
+    from eldenet.evaluation.splits import open_split
+
+    seen = trained_size(model, protocol)
+    if seen is None or (isinstance(model, RuntimeNetwork) and model.network.fixed_size is not None):
+        return seen
+    frames = open_split(s.data, s.split, protocol, score=True)
+    frames.input_size = None
+    height, width = frames[0]["image"].shape[-2:]
+    size = size_of_aspect((seen[0], seen[1]), (height, width * float(model.info.get("stretch") or 1.0)))
+    return list(size)
 
 
 def trained_size(model: "DepthNet | RuntimeNetwork", protocol: "EvalProtocol") -> Sequence[int] | None:

@@ -3,9 +3,11 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support import layouts
-from support.networks import small_net
+from support.networks import canonical_net, small_net
+from support.predicting import save
 
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
@@ -14,7 +16,7 @@ from eldenet.deploy.metadata import describe
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.base import Runtime
 from eldenet.deploy.runtimes.module import RuntimeNetwork
-from eldenet.evaluate import trained_size
+from eldenet.evaluate import EvaluateSettings, evaluate, trained_size
 from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.export import ExportSettings, target_of
 from eldenet.geometry import resize_intrinsics
@@ -152,3 +154,30 @@ def test_a_protocol_decides_which_size_is_scored() -> None:
     assert trained_size(file(PART), crops) == tuple(PART)
     with pytest.raises(ValueError, match=r"whole frames, 60 x 76 pixels, but protocol kitti_eigen_garg_impr"):
         trained_size(file(WHOLE), crops)
+
+
+@pytest.mark.parametrize(
+    ("seen", "stretch", "shown"), [((64, 64), None, (32, 128)), ((64, 128), 0.5, (64, 128))]
+)
+def test_frames_of_another_shape_are_scored_as_they_are_predicted(
+    seen: tuple[int, int], stretch: float | None, shown: tuple[int, int], tmp_path: Path
+) -> None:
+    model = canonical_net(*seen)
+    model.info["stretch"] = stretch
+    model.save_pretrained(tmp_path / "model")
+    predictor = DepthPredictor(DepthNet.from_pretrained(tmp_path / "model"), steady=False)
+    (tmp_path / "frames/depths").mkdir(parents=True)
+    for number in range(2):
+        photo = np.random.default_rng(number).integers(0, 255, (64, 256, 3), np.uint8)
+        save(tmp_path / f"frames/images/{number}.png", photo)
+        np.save(tmp_path / f"frames/depths/{number}.npy", predictor(photo, focal=200))
+    words = [
+        f"checkpoint={tmp_path}/model",
+        "data=folder",
+        f"data.root={tmp_path}/frames",
+        "data.encoding=meters",
+    ]
+    words += ["data.intrinsics=[200,200,127.5,31.5]", "data.test_split=all", "runtime.workers=0"]
+    record = evaluate(compose(EvaluateSettings, [*words, f"output={tmp_path}/scores"]))
+    assert record["metrics"]["abs_rel"] < 1e-4
+    assert (record["cost"]["height"], record["cost"]["width"]) == shown
