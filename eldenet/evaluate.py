@@ -161,18 +161,27 @@ def size_of_frames_shown(
 ) -> Sequence[int] | None:
     """``(height, width)`` [px] at which ``model`` sees the frames to score, as predict would: not squeezed.
 
-    A file of fixed size has no other. Of frames of several sizes, the first one decides.
+    Of frames of several sizes, the first one decides.
+
+    Raises:
+        ValueError: a file of fixed size would squeeze them.
     """
     from eldenet.deploy.runtimes.module import RuntimeNetwork
     from eldenet.evaluation.splits import open_split
 
     seen = trained_size(model, protocol)
-    if seen is None or (isinstance(model, RuntimeNetwork) and model.network.fixed_size is not None):
-        return seen
+    if seen is None:
+        return None
     frames = open_split(s.data, s.split, protocol, score=True)
     frames.input_size = None
     height, width = frames[0]["image"].shape[-2:]
     size = size_of_aspect((seen[0], seen[1]), (height, width * float(model.info.get("stretch") or 1.0)))
+    fixed = isinstance(model, RuntimeNetwork) and model.network.fixed_size is not None
+    if fixed and size != tuple(seen):
+        raise ValueError(
+            f"this file takes {list(seen)} pixels (height, width), which would squeeze frames of {height} x "
+            f"{width}: export one with size={list(size)}, or give input_size={list(seen)} to squeeze them"
+        )
     return list(size)
 
 

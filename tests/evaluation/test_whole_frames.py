@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support import layouts
 from support.networks import canonical_net, small_net
-from support.predicting import save
+from support.predicting import exported, save
 
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
@@ -181,3 +181,14 @@ def test_frames_of_another_shape_are_scored_as_they_are_predicted(
     record = evaluate(compose(EvaluateSettings, [*words, f"output={tmp_path}/scores"]))
     assert record["metrics"]["abs_rel"] < 1e-4
     assert (record["cost"]["height"], record["cost"]["width"]) == shown
+
+
+def test_a_file_of_one_size_is_not_scored_on_frames_that_it_would_squeeze(tmp_path: Path) -> None:
+    file = exported(canonical_net(32, 64), tmp_path / "model.onnx")
+    words = [f"checkpoint={file}", "data=folder", "data.test_split=all", "runtime.workers=0", "batch_size=1"]
+    words += [f"data.root={layouts.folder(tmp_path / 'frames', count=2)}", f"output={tmp_path}/scores"]
+    with pytest.raises(
+        ValueError, match=r"takes \[32, 64\] .* squeeze frames of 48 x 64: export one with size=\["
+    ):
+        evaluate(compose(EvaluateSettings, words))
+    evaluate(compose(EvaluateSettings, [*words, "input_size=[32,64]"]))
