@@ -74,8 +74,8 @@ def _fold_sequence(sequence: nn.Sequential) -> None:
     names = [*parts, ""]
     for name, after, last in zip(names, names[1:], names[2:], strict=False):
         layer, norm = parts[name], parts[after]
-        if type(norm) is not nn.BatchNorm2d or norm.running_mean is None:  # timm's contains its activation
-            continue
+        if type(norm) is not nn.BatchNorm2d or norm.running_mean is None:
+            continue  # timm's contains its activation; one without statistics takes each batch's own
         if type(layer) in PLAIN:
             parts[name] = fuse_conv_bn_eval(layer, norm)  # type: ignore[type-var]
             parts[after] = nn.Identity()

@@ -177,10 +177,9 @@ def exif_focal(photo: Photo, size: tuple[int, int]) -> float | None:
     if not millimeters > 0:
         return None
     if min(taken) > 0 and not (same_aspect(taken, shape) or same_aspect(taken[::-1], shape)):
-        name = photo if isinstance(photo, Path) else "the picture"
         warn_once(
-            f"{name} was cropped or stretched from {taken[0]:g} x {taken[1]:g} to {shape[0]} x {shape[1]} "
-            "(height, width): the EXIF's lens is not used"
+            f"photo was cropped or stretched from {taken[0]:g} x {taken[1]:g} to {shape[0]} x {shape[1]} px "
+            "(height, width): the lens that its EXIF states is not used"
         )
         return None
     focal = focal_of_film(millimeters, size)

@@ -91,8 +91,7 @@ def check_sources(loss: WeightedSum, data: Mapping[str, Any]) -> None:
     terms = [term for term in loss.terms.values() if term.weight]
     if any(term.applies_to == "relative" or not term.needs_depth for term in terms):
         return
-    sources = data["train"]["sources"] if data["train"]["_target_"].endswith(".Mix") else {}
-    for name, source in sources.items():
+    for name, source in data.get("sources", {}).items():
         if source.get("relative") and source.get("weight", 1.0):
             raise ValueError(
                 f"data.sources.{name}.relative=true: no term of this loss learns from relative depth; use "
