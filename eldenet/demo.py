@@ -113,6 +113,7 @@ def build_page(model: "DepthNet", s: DemoSettings, output: Path, log: "RunLog") 
 
 def page_facts(model: "DepthNet", checkpoint: str, size: tuple[int, int]) -> dict[str, Any]:
     """Return what the page needs to know: the network's size, its canonical camera, and the 256 colors."""
+    from eldenet.model import size_of_frames
     from eldenet.visualization import color_depth
 
     shares = (np.arange(256) + 0.5) / 255  # as depth between 1 (cool, the first color) and 0
@@ -120,6 +121,7 @@ def page_facts(model: "DepthNet", checkpoint: str, size: tuple[int, int]) -> dic
         "name": Path(checkpoint).name,
         "size": list(size),
         "canonical_px": model.canonical_px,
+        "trained_size": list(size_of_frames(model.info) or size),
         "sees_rays": model.sees_rays,
         "stretch": float(model.info.get("stretch") or 1.0),
         "border": list(BORDER_COLOR),

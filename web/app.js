@@ -33,7 +33,7 @@ function say(text, wrong = false) {
 const focal = ({ width, height }) => (state.focal === null ? null : state.focal * Math.max(width, height));
 
 // The map times this is meters.
-const factor = () => metersPerUnit(state.network, state.frame.width, state.map.width, focal(state.frame));
+const factor = () => metersPerUnit(state.network, state.frame, state.map.width, focal(state.frame));
 
 // Depth [m] at a pixel of the frame.
 export function metersAt(x, y) {
@@ -81,7 +81,7 @@ function showScale() {
 function showFocal() {
   if (state.network.canonical_px === null) return;
   const { frame } = state;
-  const pixels = focal(frame) ?? canonicalFocal(state.network, frame.width, state.map.width);
+  const pixels = focal(frame) ?? canonicalFocal(state.network, frame);
   const view = (2 * Math.atan(frame.width / 2 / pixels) * 180) / Math.PI;
   const kind = state.focal === null ? " (the network's own camera)" : "";
   element("focal").value = pixels / Math.max(frame.width, frame.height);

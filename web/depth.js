@@ -15,6 +15,14 @@ export function fitInto(size, frame) {
   return { top: Math.floor((size[0] - height) / 2), left: Math.floor((size[1] - width) / 2), height, width };
 }
 
+// Size at which a network of `size` sees a whole frame of another aspect, if it may see any size.
+export function sizeOfAspect(size, frame) {
+  if (sameAspect(size, frame)) return size;
+  const narrower = (size[1] * frame[0]) / (size[0] * frame[1]);
+  const height = size[0] * (narrower > 1 ? narrower ** 0.25 : Math.sqrt(narrower));
+  return [height, (height * frame[1]) / frame[0]].map((side) => Math.max(1, halfEven(side)));
+}
+
 function halfEven(value) {
   const below = Math.floor(value);
   const rest = value - below;
@@ -158,13 +166,14 @@ export function inputs(ort, network, image, frame, box, focal) {
   return given;
 }
 
-// Meters per unit of the network's map, for fx [px of the frame].
-export function metersPerUnit(network, frameWidth, boxWidth, focal) {
-  if (network.canonical_px === null || network.sees_rays || focal === null) return 1;
-  return focal / canonicalFocal(network, frameWidth, boxWidth);
+// Meters per unit of the network's map, for fx [px of the frame]; null: for the canonical camera.
+export function metersPerUnit(network, frame, boxWidth, focal) {
+  if (network.canonical_px === null || (network.sees_rays && focal !== null)) return 1;
+  return ((focal ?? canonicalFocal(network, frame)) * boxWidth) / (network.canonical_px * frame.width);
 }
 
-// fx [px of the frame] that the network assumes if none is given; null if it knows no focal lengths.
-export function canonicalFocal(network, frameWidth, boxWidth) {
-  return network.canonical_px === null ? null : (network.canonical_px * frameWidth) / boxWidth;
+// fx [px of the frame] of the network's canonical camera, whose pixels are those of its training.
+export function canonicalFocal(network, frame) {
+  const [, width] = sizeOfAspect(network.trained_size, [frame.height, frame.width * network.stretch]);
+  return (network.canonical_px * frame.width) / width;
 }

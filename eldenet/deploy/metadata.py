@@ -48,6 +48,7 @@ def describe(
         license: of the weights; None: the one in the model's ``info``.
     """
     from eldenet.evaluation.cost import count_macs, count_params
+    from eldenet.model import size_of_frames
 
     height, width = camera_size or size
     scaled = model.canonical_px is not None and not model.sees_rays and fov is None
@@ -74,6 +75,7 @@ def describe(
         * (model.sees_rays and fov is None),
         "input_size": json.dumps(list(size)),
         "whole_frame_size": json.dumps(model.info.get("whole_frame_size")),
+        "trained_size": json.dumps(size_of_frames(model.info)),
         "stretch": json.dumps(model.info.get("stretch")),
         "camera_size": json.dumps(list(camera_size) if camera_size else None),
         "mean": json.dumps([round(value, 6) for value in model.mean.flatten().tolist()]),

@@ -41,8 +41,9 @@ class DepthPredictor:
     that was trained on crops sees whole frames at the scale of those crops.
 
     Depth is in meters for the camera given with each frame. Without one, the network's canonical camera is
-    assumed. A network without ``canonical_px`` ignores focal lengths: its meters are right for about the
-    field of view of its training camera. Several threads may call one predictor.
+    assumed, with the same field of view at any ``input_size``. A network without ``canonical_px`` ignores
+    focal lengths: its meters are right for about the field of view of its training camera. Several threads
+    may call one predictor.
 
     In a loop over a video, depth does not flicker: each frame is mixed with the frames before it, see
     :class:`~eldenet.deploy.steady.SteadyFilter`. A picture of another scene or camera is predicted on its
@@ -84,12 +85,14 @@ class DepthPredictor:
         if uncertainty and model.distribution is None:
             raise ValueError(f"uncertainty=True: {NO_SIGMA}")
         self.uncertainty = uncertainty
-        if input_size is None and isinstance(model, Runtime):
-            input_size = model.info.get("input_size")
-        elif input_size is None:
+        if isinstance(model, Runtime):
+            trained, usual = model.trained_size, model.info.get("input_size")
+        else:
             from eldenet.model import size_of_frames
 
-            input_size = size_of_frames(model.info)
+            trained = usual = size_of_frames(model.info)
+        self._trained_size = None if trained is None else (int(trained[0]), int(trained[1]))
+        input_size = usual if input_size is None else input_size
         if input_size is not None and (np.shape(input_size) != (2,) or min(input_size) < 1):
             raise ValueError(f"input_size={input_size}: give [height, width] in pixels, or null")
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
@@ -240,7 +243,14 @@ class DepthPredictor:
                     self.model.predict(tensor, lens) if self.uncertainty else [self.model(tensor, lens)]
                 )
                 maps = [each[0, 0].float().cpu().numpy() for each in found[: 1 + self.uncertainty]]
-        return picture, [each[top:bottom, left:right] for each in maps]
+        maps = [each[top:bottom, left:right] for each in maps]
+        if lens is None and self.canonical_px is not None and self._trained_size is not None:
+            # the canonical camera's pixels are those of the training, with as many across a frame as there
+            usual = size_of_aspect(self._trained_size, (height, width * self.stretch))[1]
+            network_width = self.input_size[1] if camera and self.input_size else size[1]
+            ratio = np.float32((right - left) / size[1] * network_width / usual)
+            maps = [each * ratio for each in maps]
+        return picture, maps
 
     def _filter_of(self, camera: tuple[tuple[int, int], float | None]) -> SteadyFilter:
         """The filter of this thread's video; another camera (frame size and fx) starts a new video."""

@@ -47,6 +47,8 @@ class Runtime:
         takes_frames: whether it takes uint8 frames.
         whole_frame_size: ``(height, width)`` [px] of a whole frame at the training's scale; None: it did not
             crop.
+        trained_size: ``(height, width)`` [px] at which the training's scale shows a whole frame; None: not
+            stated.
         canonical_px: focal length of the canonical camera [px]; None: it ignores focal lengths, and meters
             are those of the training's lens.
         fov: horizontal field of view [degrees] of the one camera that the file was exported for; None: any.
@@ -79,8 +81,8 @@ class Runtime:
         self.shape = tuple(side if isinstance(side, int) else None for side in shape)
         self.fixed_batch = self.shape[0] if self.shape else None
         with reading(source, "exported network", EXPORT_AGAIN):
-            self.camera_size, self.whole_frame_size, self.fixed_size = map(
-                self._size, ("camera_size", "whole_frame_size", "input_size")
+            self.camera_size, self.whole_frame_size, self.trained_size, self.fixed_size = map(
+                self._size, ("camera_size", "whole_frame_size", "trained_size", "input_size")
             )
             focal, width = map(self._number, ("canonical_focal", "canonical_width"))
             self.canonical_px = None if focal is None or width is None else focal * width
