@@ -87,6 +87,11 @@ def evaluate(s: EvaluateSettings) -> dict[str, Any]:
     if checkpoint.kind == "network":
         log.say(untrained_note(s.checkpoint))
     size = chosen_size(s, protocol, model, log)
+    if s.input_size != "model" and model.canonical_px is not None and (name := without_lens(s, protocol)):
+        log.say(
+            f"note: frames such as {name} have no intrinsics, and their meters are only right at the size of "
+            "the training: give data.intrinsics, or input_size=model"
+        )
     if s.calibrated is not None:
         calibrate(s, Path(s.calibrated).expanduser(), protocol, resources, model, size, log)
     record = score(model, asdict(s), protocol, resources, log, input_size=size, measure=_measure)
@@ -183,6 +188,14 @@ def size_of_frames_shown(
             f"{width}: export one with size={list(size)}, or give input_size={list(seen)} to squeeze them"
         )
     return list(size)
+
+
+def without_lens(s: EvaluateSettings, protocol: "EvalProtocol") -> str:
+    """Name of the first frame to score if it has no intrinsics, else ""."""
+    from eldenet.evaluation.splits import open_split
+    from eldenet.training.notes import without_camera
+
+    return without_camera(open_split(s.data, s.split, protocol, score=True))
 
 
 def trained_size(model: "DepthNet | RuntimeNetwork", protocol: "EvalProtocol") -> Sequence[int] | None:

@@ -41,6 +41,7 @@ def predictors(model: DepthNet, tmp_path_factory: pytest.TempPathFactory) -> dic
         "as trained": DepthPredictor(model, steady=False),
         "larger": DepthPredictor(model, (64, 128), steady=False),
         "another shape": DepthPredictor(model, (48, 64), steady=False),
+        "another runtime": DepthPredictor(runtimes.load(model, "torch", size=(48, 80)), steady=False),
         "file": predictor_of(model, folder / "small.onnx", SIZE),
         "larger file": predictor_of(model, folder / "large.onnx", (48, 80)),
         "frames": predictor_of(model, folder / "frames.onnx", SIZE, (64, 128)),

@@ -183,6 +183,20 @@ def test_frames_of_another_shape_are_scored_as_they_are_predicted(
     assert (record["cost"]["height"], record["cost"]["width"]) == shown
 
 
+@pytest.mark.parametrize(("words", "noted"), [(["input_size=[64,128]"], True), ([], False)])
+def test_meters_of_an_unknown_lens_are_only_right_at_the_size_of_the_training(
+    words: list[str], noted: bool, tmp_path: Path, capsys
+) -> None:
+    canonical_net(32, 64).save_pretrained(tmp_path / "model")
+    tree = layouts.folder(tmp_path / "frames", layouts.content((32, 64)), count=2)
+    given = [f"checkpoint={tmp_path}/model", "data=folder", f"data.root={tree}", "data.test_split=all"]
+    evaluate(compose(EvaluateSettings, [*given, "runtime.workers=0", f"output={tmp_path}/scores", *words]))
+    said = " ".join(capsys.readouterr().out.split())
+    assert (
+        "have no intrinsics, and their meters are only right at the size of the training" in said
+    ) == noted
+
+
 def test_a_file_of_one_size_is_not_scored_on_frames_that_it_would_squeeze(tmp_path: Path) -> None:
     file = exported(canonical_net(32, 64), tmp_path / "model.onnx")
     words = [f"checkpoint={file}", "data=folder", "data.test_split=all", "runtime.workers=0", "batch_size=1"]
