@@ -25,9 +25,16 @@ def default_cache() -> Path:
     return Path(os.environ.get("ELDENET_CACHE") or "~/.cache/eldenet").expanduser()
 
 
-def natural_order(name: str) -> tuple[list[str | int], str]:
-    """Return a key that sorts names as they were recorded: frame 2 before frame 10."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)], name
+def natural_order(name: str) -> tuple[list[str | float], str]:
+    """Return a key that sorts names as they were recorded: frame 2 before frame 10.
+
+    Seconds since 1970 are decimal numbers, whose last zeros programs leave out: 1700000000.25 before .3.
+    """
+    parts = re.split(r"(\d{10,}\.\d+|\d+)", name)  # every second one is a number
+    key: list[str | float] = [
+        (float(part) if "." in part else int(part)) if n % 2 else part for n, part in enumerate(parts)
+    ]
+    return key, name
 
 
 def visible_files(folder: Path, endings: Sequence[str]) -> list[Path]:

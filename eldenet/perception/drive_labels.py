@@ -119,15 +119,15 @@ def place_frames(source: Source | Bag, poses: DrivePoses) -> Iterator[Placed]:
 def _of_pictures(source: Source, poses: DrivePoses) -> list[tuple[Path, np.ndarray, float | None]]:
     """The pictures whose pose is known, with it and their time, in the order of time."""
     paths = in_order([Path(path) for path in source.names])
-    stated = [seconds_of(path.stem) for path in paths]
-    times = [time for time in stated if time is not None]
+    times = [time for path in paths if (time := seconds_of(path.stem)) is not None]
+    timed: list[tuple[Path, np.ndarray | None, float | None]]
     if poses.seconds is not None and poses.names is None and len(times) == len(paths):
-        known = [poses.at(time) for time in times]
-        _refuse_other_clock(poses, known, times)
+        stated = sorted(zip(times, paths, strict=True))  # names may leave out last zeros
+        timed = [(path, poses.at(time), time) for time, path in stated]
+        _refuse_other_clock(poses, [pose for _, pose, _ in timed], times)
     else:
-        known, stated = poses.of_pictures(paths), [None] * len(paths)
-    found = zip(paths, known, stated, strict=True)
-    return [(path, pose, time) for path, pose, time in found if pose is not None]
+        timed = [(path, pose, None) for path, pose in zip(paths, poses.of_pictures(paths), strict=True)]
+    return [(path, pose, time) for path, pose, time in timed if pose is not None]
 
 
 def _of_film(frames: Iterator[tuple[np.ndarray, float]], poses: DrivePoses) -> Iterator[Placed]:

@@ -239,6 +239,17 @@ def test_each_file_is_paired_once_with_its_nearest(tmp_path: Path) -> None:
     assert shown(data) == [1, 2]
 
 
+def test_seconds_since_1970_sort_by_time_whatever_decimals_are_written(
+    tmp_path: Path,
+) -> None:
+    """As ``f"{time.time()}.png"`` names files; the frames must also be cut into blocks of time."""
+    for i in range(COUNT):
+        recordings.picture(tmp_path / f"rgb/{1700000000 + 0.05 * i}.png", i)
+        recordings.depth(tmp_path / f"depth/{1700000000.004 + 0.05 * i}.png", i, SIZE)
+    data = FolderDataset(tmp_path, images="rgb", depths="depth", pair_by="order", max_depth=9.0)
+    assert shown(data) == list(range(COUNT))
+
+
 def test_names_that_do_not_match_get_the_settings_that_would(tmp_path: Path) -> None:
     RECORDERS["arkit_scenes"].write(tmp_path, SIZE)
     folders = {"images": "lowres_wide", "depths": "lowres_depth"}

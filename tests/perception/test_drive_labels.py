@@ -16,8 +16,10 @@ from eldenet.adapt import AdaptSettings, adapt
 from eldenet.compose import compose
 from eldenet.data.drive_poses import Mount, read_poses
 from eldenet.data.io import read_depth
+from eldenet.deploy.prediction import find_source
 from eldenet.deploy.video_files import open_video
 from eldenet.geometry import pinhole
+from eldenet.perception.drive_labels import place_frames
 from eldenet.visualization import write_picture
 
 SIZE, LENS = (96, 128), (100.0, 100.0, 63.5, 47.5)
@@ -147,6 +149,18 @@ def test_pictures_are_chosen_along_their_own_way_not_all_poses(tmp_path, monkeyp
         file.writelines(f"\n{t / 4},{t},0,0" for t in range(13, 80))
     assert adapt(setup(tmp_path, f"source={tmp_path / 'pictures'}", "frames=12"))
     assert len(list((tmp_path / "run/labels/images").iterdir())) >= 9
+
+
+def test_pictures_named_by_times_without_last_zeros_are_in_the_order_of_time(tmp_path):
+    times = [0.05 * number for number in range(40)]
+    for time in times:
+        write_picture(tmp_path / f"pictures/{round(time, 2)}.png", np.zeros((8, 8, 3), np.uint8))
+    rows = [f"{time:.2f},{time:.2f},0,0" for time in times]
+    (tmp_path / "odometry.csv").write_text("\n".join(["seconds,x,y,heading", *rows]))
+    source = find_source(str(tmp_path / "pictures"), tmp_path / "run", None)
+    placed = list(place_frames(source, read_poses(tmp_path / "odometry.csv", MOUNT)))
+    assert [time for *_, time in placed] == pytest.approx(times)
+    assert [pose[0, 3] - MOUNT.ahead for _, _, pose, _ in placed] == pytest.approx(times)
 
 
 def test_a_bag_of_a_camera_that_nobody_calibrated_has_its_lens_found(tmp_path, monkeypatch):
