@@ -40,6 +40,7 @@ UNNAMED = ("seed", "output", "run_dir", "ckpt_path", "model", "model_name")
 SAME_IN_A_ROW = (
     *("model", "data", "loss", "optimizer", "scheduler", "augmentation", "trainer", "normalization"),
 )
+OF_A_NETWORK = ("params", "height", "width", "precision")  # among its costs: no seed changes them
 
 
 def report_runs(
@@ -220,6 +221,9 @@ def _row_differences(members: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str
     compared["sources"] = _shared_sources(members)
     compared["train_split_hash"] = [run.get("train_split_hash") for run in members]
     compared["precision"] = [run.get("resources", {}).get("precision") for run in members]
+    # the record of an evaluation does not say how its network was trained, but what it is
+    measured = [run.get("cost", {}) for run in members]
+    compared["network"] = [{name: cost.get(name) for name in OF_A_NETWORK} for cost in measured]
     for section, values in compared.items():
         ignored = KEYS if section in SAME_IN_A_ROW else frozenset[str]()
         for other in values:

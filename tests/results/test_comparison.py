@@ -122,6 +122,21 @@ def test_other_settings_are_no_seeds():
         table_of(runs, COLUMNS, costs=False)
 
 
+@pytest.mark.parametrize(
+    ("cost", "word"),
+    [
+        ({"height": 96, "width": 128}, "height=128 .there 96"),
+        ({"precision": "int8"}, "precision=fp32 .there int8"),
+        ({"params": 9}, "params"),
+    ],
+)
+def test_evaluations_of_other_networks_or_inputs_are_no_seeds(cost, word):
+    one, two = run_with(seed=0), run_with(seed=1)
+    two["cost"] |= cost
+    with pytest.raises(ValueError, match=rf"network differs .*{word}"):
+        table_of([one, two], costs=False)
+
+
 def started(seed: int, place: str, content: str) -> dict:
     return run_with(seed=seed, config={"weights": place}, sources={"weights": content})
 
