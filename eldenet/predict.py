@@ -205,6 +205,8 @@ def predict(s: PredictSettings) -> "Results":
         rows = precision_rows({path: file for path, file in written.items() if file.is_file()})
         if rows:
             log.table("KITTI's AP (R40) by the labels in label_2 [%]", ["IoU", *DIFFICULTIES], rows)
+            if any(" of " in cell for row in rows for cell in row):
+                log.say("of: the most that KITTI's AP can be with fewer than 41 objects")
     if results.images and recording is not None:
         log.say(f"recording: rerun {recording}")
     if not stop or source.is_live:

@@ -2,7 +2,8 @@
 
 Geiger et al., CVPR 2012; Simonelli et al., ICCV 2019 (40 recall points). Convention: R40 is the mean over the
 points 1/40 ... 1 (official since October 2019), R11 over 0, 0.1 ... 1. The point at recall 0 is the precision
-at the highest threshold.
+at the highest threshold. Fewer than 41 counted objects have fewer thresholds, and the points beyond them are
+0: even results without a mistake then stay below 100 %.
 
 Rules: an object counts at a difficulty if its 2D box is higher than the minimum height and the object is
 neither more occluded nor more truncated than allowed. Other objects are ignored (neither found nor missed),
@@ -95,6 +96,8 @@ def average_precision(
 def precision_rows(results: Mapping[Path, Path]) -> list[list[str]]:
     """AP (R40) [%] of pictures that have labels, rows of class and metric, then easy, moderate and hard.
 
+    Where too few objects count, a cell also says the most that they allow: "5.0 of 7.5".
+
     Args:
         results: picture ``.../image_2/000000.png``, whose labels are ``.../label_2/000000.txt`` -> its result
             file, as :func:`~eldenet.perception.kitti_object.write_labels` writes it.
@@ -111,12 +114,19 @@ def precision_rows(results: Mapping[Path, Path]) -> list[list[str]]:
     truths, found = [truth for truth, _ in pairs], [result for _, result in pairs]
     rows = []
     for kind in STRICT if pairs else ():
+        most = [
+            average_precision(truths, truths, kind=kind, difficulty=difficulty, metric="2d")["R40"]
+            for difficulty in DIFFICULTIES
+        ]
         for metric in METRICS:
             precisions = [
                 average_precision(truths, found, kind=kind, difficulty=difficulty, metric=metric)["R40"]
                 for difficulty in DIFFICULTIES
             ]
-            cells = ["-" if math.isnan(precision) else f"{precision:.1f}" for precision in precisions]
+            cells = [
+                "-" if math.isnan(one) else f"{one:.1f}" + f" of {limit:.1f}" * (limit < 100)
+                for one, limit in zip(precisions, most, strict=True)
+            ]
             rows.append([f"{kind}, {metric} over {STRICT[kind]:g}", *cells])
     return rows
 

@@ -58,6 +58,16 @@ def test_result_files_are_scored_by_the_labels_beside_the_pictures(tmp_path):
     assert precision_rows(dict.fromkeys(pictures[1:], tmp_path / "found.txt")) == []
 
 
+@pytest.mark.parametrize(("found", "cell"), [(3, "5.0 of 5.0"), (2, "2.5 of 5.0"), (0, "0.0 of 5.0")])
+def test_the_most_that_few_objects_allow_is_said(tmp_path, found, cell):
+    """Three cars have three thresholds, at the points 0 to 2 of 40."""
+    write_labels(tmp_path / "label_2/000000.txt", frame(*cars(3)))
+    write_labels(tmp_path / "found.txt", frame(*cars(found, (0.9, 0.5))))
+    rows = precision_rows({tmp_path / "image_2/000000.png": tmp_path / "found.txt"})
+    assert rows[0] == ["Car, 2d over 0.7", cell, cell, cell]
+    assert rows[2] == ["Car, 3d over 0.7", cell, cell, cell]
+
+
 def test_half_of_eighty_objects_found_give_an_r40_of_50():
     """Thresholds at the finds 1, 2, 4, 6 ... 40 of 80: precision is 1 at the points 0 to 20."""
     assert ap(cars(80), cars(40, (0.9, 0.51))) == pytest.approx({"R40": 50, "R11": 100 * 6 / 11})
