@@ -105,8 +105,9 @@ def lshape_boxes(evidence: ObjectEvidence) -> RawBoxes:
     points = np.where(empty[:, None, None], 1.0, evidence.foreground.points(evidence.camera))
     evidence = _with_a_point(evidence, empty)
     weight = evidence.foreground.weight
+    eye = evidence.camera.translation
     yaw = _heading(evidence, points)
-    extents = lshape.extents(points, weight, yaw)
+    extents = lshape.extents(points - eye, weight, yaw)
     low, high = _bounds(points, weight)
     plane, prior_size = evidence.plane, evidence.size
     bottom = high[:, 1]
@@ -117,7 +118,7 @@ def lshape_boxes(evidence: ObjectEvidence) -> RawBoxes:
     bottom = np.where(hangs, high[:, 1], bottom)
     seen = np.column_stack([extents[1] - extents[0], bottom - low[:, 1]])
     size = np.where(np.isnan(prior_size), np.maximum(seen, 0.05), prior_size)
-    x, z = lshape.anchored(extents, yaw, size).T
+    x, z = lshape.anchored(extents, yaw, size).T + eye[[0, 2], None]
     if plane is not None:
         bottom = np.where(hangs, bottom, plane.y_at(x, z))
     return RawBoxes.without_fit(np.stack([x, bottom - size[:, 2] / 2, z], axis=1), size, yaw)
@@ -213,15 +214,17 @@ def _starts(evidence: ObjectEvidence) -> np.ndarray:
     evidence = _with_a_point(evidence, empty)
     weight = evidence.foreground.weight
     low, high = _bounds(points, weight)
-    sight = np.arctan2(-(low + high)[:, 2], (low + high)[:, 0])
+    eye = evidence.camera.translation
+    ray = (low + high) / 2 - eye
+    sight = np.arctan2(-ray[:, 2], ray[:, 0])
     yaw = np.where(empty, sight + np.pi / 4, _heading(evidence, points))
     # the points may be another object's: two starts are where the size in the image puts the object instead
     shift = np.linalg.norm(((low + high) / 2 - guess)[:, [0, 2]], axis=1)
-    misplaced = shift > _MISPLACED * np.linalg.norm(guess[:, [0, 2]], axis=1)
+    misplaced = shift > _MISPLACED * np.linalg.norm((guess - eye)[:, [0, 2]], axis=1)
     misplaced &= ~np.isnan(prior_size[:, 0])
     state = np.zeros((len(size), _STARTS, box_fit.UNKNOWNS))
     for row, turn in enumerate((yaw, yaw + np.pi / 2, sight, sight + np.pi / 2)):
-        x, z = lshape.anchored(lshape.extents(points, weight, turn), turn, size).T
+        x, z = lshape.anchored(lshape.extents(points - eye, weight, turn), turn, size).T + eye[[0, 2], None]
         by_size = empty | (misplaced & (row >= 2))
         x, z = np.where(by_size, guess[:, 0], x), np.where(by_size, guess[:, 2], z)
         bottom = high[:, 1] + empty * size[:, 2] / 2 if plane is None else plane.y_at(x, z)
@@ -234,7 +237,7 @@ def _starts(evidence: ObjectEvidence) -> np.ndarray:
 
 def _heading(evidence: ObjectEvidence, points: np.ndarray) -> np.ndarray:
     """Yaw ``(N,)`` by the L-shape, along the side that fits the class or is longer."""
-    weight = evidence.foreground.weight
+    points, weight = points - evidence.camera.translation, evidence.foreground.weight
     tolerance = 0.05 + 0.15 * evidence.depth_sigma * evidence.foreground.median_depth(1.0)
     yaw = lshape.closeness_yaw(points, weight, tolerance)
     extents = lshape.extents(points, weight, yaw)

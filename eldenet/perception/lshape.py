@@ -27,6 +27,7 @@ def from_axes(axes: np.ndarray, yaw: np.ndarray) -> np.ndarray:
 def extents(points: np.ndarray, weight: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest (u, v) ``(N, 2)`` [m] of ``points (N, P, 3)`` in the axes of boxes of ``yaw (N,)``.
 
+    :func:`length_axis` and :func:`anchored` want them from the camera, not from another origin.
     Points with ``weight (N, P)`` 0 are padding.
     """
     axes = to_axes(points[..., [0, 2]], yaw[:, None])

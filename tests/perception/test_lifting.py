@@ -118,6 +118,18 @@ def test_a_tilted_camera_in_a_level_frame_gives_the_same_box():
     assert np.linalg.norm(boxes.center[0] - center) < 0.25
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_camera_elsewhere_in_the_level_frame_moves_the_boxes_by_as_much(method):
+    depth, xyxy = block((0.0, 0.85, 14.0), yaw=1.5)
+    place = np.array([-12.0, 0.0, -30.0])
+    here, there = (
+        BoxLifter(method, depth_sigma=0.02, ground=flat_ground(1.6))(depth, detection(xyxy), camera)
+        for camera in (CAMERA, PinholeCamera(CAMERA.intrinsics, translation=place))
+    )
+    np.testing.assert_allclose(there.center[0] - place, here.center[0], atol=0.05)
+    assert abs(wrap_half(there.yaw[0] - here.yaw[0])) < np.radians(1)
+
+
 def test_the_paper_method_is_the_mean_of_the_extents():
     """Equations 1 to 3 by hand."""
     depth = np.zeros((60, 80))
