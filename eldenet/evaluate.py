@@ -21,6 +21,7 @@ from eldenet.weights import find_checkpoint
 if TYPE_CHECKING:
     from eldenet.deploy.runtimes.module import RuntimeNetwork
     from eldenet.evaluation.protocol import EvalProtocol
+    from eldenet.evaluation.splits import OwnShape
     from eldenet.model import DepthNet
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import Resources
@@ -122,7 +123,7 @@ def calibrate(
     protocol: "EvalProtocol",
     resources: "Resources",
     model: "DepthNet | RuntimeNetwork",
-    input_size: Sequence[int] | None,
+    input_size: "Sequence[int] | OwnShape | None",
     log: "RunLog",
 ) -> None:
     """Fit the temperature of the network's sigma on the frames to score; save the network into ``folder``.
@@ -151,43 +152,48 @@ def calibrate(
 
 def chosen_size(
     s: EvaluateSettings, protocol: "EvalProtocol", model: "DepthNet | RuntimeNetwork", log: "RunLog"
-) -> Sequence[int] | None:
-    """Return ``(height, width)`` [px] that the network sees; None: the data set's own."""
-    wanted = size_of_frames_shown(s, protocol, model) if s.input_size == "model" else s.input_size
-    of_data = s.data["input_size"]
-    if wanted is None or isinstance(wanted, str) or list(wanted) == of_data:
-        return None
-    log.say(f"the network sees {wanted[0]} x {wanted[1]} pixels, data.input_size={of_data} is not used")
-    return wanted
-
-
-def size_of_frames_shown(
-    s: EvaluateSettings, protocol: "EvalProtocol", model: "DepthNet | RuntimeNetwork"
-) -> Sequence[int] | None:
-    """``(height, width)`` [px] at which ``model`` sees the frames to score, as predict would: not squeezed.
-
-    Of frames of several sizes, the first one decides.
+) -> "Sequence[int] | OwnShape | None":
+    """Return the ``(height, width)`` [px] that the network sees, or own shapes; None: the data set's size.
 
     Raises:
-        ValueError: a file of fixed size would squeeze them.
+        ValueError: a file of fixed size would squeeze the frames.
     """
+    from eldenet.evaluation.splits import OwnShape
+
+    wanted = trained_size(model, protocol) if s.input_size == "model" else s.input_size
+    if wanted is None or isinstance(wanted, str):
+        return None
+    own_shapes = s.input_size == "model" and not protocol.changes_frames
+    of_data = s.data["input_size"]
+    if list(wanted) != of_data:
+        what = f"the network sees {wanted[0]} x {wanted[1]} pixels"
+        log.say(f"{what}, data.input_size={of_data} is not used")
+    if not own_shapes:
+        return wanted
+    shape = OwnShape((wanted[0], wanted[1]), float(model.info.get("stretch") or 1.0))
+    refuse_to_squeeze(s, protocol, model, shape)
+    return shape
+
+
+def refuse_to_squeeze(
+    s: EvaluateSettings, protocol: "EvalProtocol", model: "DepthNet | RuntimeNetwork", shape: "OwnShape"
+) -> None:
+    """Raise ValueError if a file of fixed size would squeeze the frames, of which the first is looked at."""
     from eldenet.deploy.runtimes.module import RuntimeNetwork
     from eldenet.evaluation.splits import open_split
 
-    seen = trained_size(model, protocol)
-    if seen is None:
-        return None
+    if not isinstance(model, RuntimeNetwork) or model.network.fixed_size is None:
+        return
     frames = open_split(s.data, s.split, protocol, score=True)
     frames.input_size = None
     height, width = frames[0]["image"].shape[-2:]
-    size = size_of_aspect((seen[0], seen[1]), (height, width * float(model.info.get("stretch") or 1.0)))
-    fixed = isinstance(model, RuntimeNetwork) and model.network.fixed_size is not None
-    if fixed and size != tuple(seen):
+    size = size_of_aspect(shape.size, (height, width * shape.stretch))
+    if size != shape.size:
+        seen = list(shape.size)
         raise ValueError(
-            f"this file takes {list(seen)} pixels (height, width), which would squeeze frames of {height} x "
-            f"{width}: export one with size={list(size)}, or give input_size={list(seen)} to squeeze them"
+            f"this file takes {seen} pixels (height, width), which would squeeze frames of {height} x "
+            f"{width}: export one with size={list(size)}, or give input_size={seen} to squeeze them"
         )
-    return list(size)
 
 
 def without_lens(s: EvaluateSettings, protocol: "EvalProtocol") -> str:

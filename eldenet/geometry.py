@@ -17,6 +17,7 @@ from eldenet.system.errors import warn_once
 if TYPE_CHECKING:
     from torch import Tensor
 
+GRID = 16  # [px]: networks round other sides of frames up, which makes the depth of the last rows wrong
 SAME_ASPECT = 0.02  # share by which a resize may stretch one side: what rounding to whole pixels does
 SAME_SURFACE = 0.05  # share by which the depth of neighboring pixels of one surface may differ
 BORDER_COLOR = (124, 116, 104)  # ImageNet's mean: 0 once a network has normalized it

@@ -74,6 +74,8 @@ class DepthDataset(Dataset[DepthSample]):
     Attributes:
         names: the frames, in order.
         skipped: name -> reason of the frames that were left out.
+        stretch: not None: images keep their frame's shape, with widths times this, and ``input_size`` is for
+            their number of pixels (:func:`~eldenet.geometry.size_of_aspect`).
 
     Raises:
         ValueError: there are no frames, or an argument is out of its range.
@@ -83,6 +85,7 @@ class DepthDataset(Dataset[DepthSample]):
     depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
     make_sample: MakeSample | None = None
+    stretch: float | None = None
     class_names: tuple[str, ...] = ()  # of the semantic labels, by number; empty if none are read
 
     def __init__(
@@ -222,6 +225,9 @@ class DepthDataset(Dataset[DepthSample]):
         if self.transform is not None:
             frame = self.transform(frame, generator)
         if size is not None:
+            if self.stretch is not None:
+                height, width = frame.image.shape[:2]
+                size = size_of_aspect(size, (height, width * self.stretch))
             frame = self.resized(frame, size)
         return to_sample(frame, self.min_depth, self.max_depth)
 

@@ -12,7 +12,7 @@ import numpy as np
 from eldenet.deploy.runtimes.base import Runtime, check_depth, check_known_lens
 from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
-from eldenet.geometry import BORDER_COLOR, fit_into, focal_length, resize_image, size_of_aspect
+from eldenet.geometry import BORDER_COLOR, GRID, fit_into, focal_length, resize_image, size_of_aspect
 from eldenet.system.resources import check_torch_device, full_fp32
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 MAX_SIDE = 640
 LEAST_SIDE = 8  # of a frame [px]: smaller ones show nothing
-GRID = 16  # sides of frames are multiples of this [px]
 NO_FOCAL = (
     "this network ignores focal lengths: the camera does not change the depth, whose meters are right for "
     "the lens of its training only (to change that, train with canonical_focal)"

@@ -8,7 +8,7 @@ import torch
 from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import evaluation_loader
 from eldenet.evaluation.cost import device_of
-from eldenet.evaluation.evaluator import predict_spread
+from eldenet.evaluation.evaluator import pads, predict_spread
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.heads import UncertainHead
 from eldenet.model import DepthNet, eval_mode
@@ -42,7 +42,9 @@ def fit_temperature(
     with eval_mode(model):
         for batch in chain.from_iterable(evaluation_loader(dataset, batch_size)):
             focal = batch["intrinsics"][:, 0, 0].to(device)
-            depth, spread = predict_spread(model, batch["image"].to(device), focal, flip=protocol.flip)
+            image = batch["image"].to(device)
+            pad = pads(dataset, image)
+            depth, spread = predict_spread(model, image, focal, flip=protocol.flip, pad=pad)
             truth = batch["depth"].to(device)
             valid = protocol.valid_mask(truth, batch["mask"].to(device))
             depth = protocol.align(depth, truth, valid)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
@@ -15,6 +16,7 @@ from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
+from eldenet.geometry import GRID
 from eldenet.model import eval_mode
 
 if TYPE_CHECKING:
@@ -37,28 +39,57 @@ class Evaluation:
 
 @torch.inference_mode()
 def predict_depth(
-    model: nn.Module, image: Tensor, focal: Tensor | None = None, *, flip: str = "none"
+    model: nn.Module,
+    image: Tensor,
+    focal: Tensor | None = None,
+    *,
+    flip: str = "none",
+    pad: bool = False,
 ) -> Tensor:
     """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``; "mean" averages with the mirror image's.
 
     ``focal (B,)`` is fx [px of ``image``], 0 where unknown; models without ``canonical_px`` ignore it.
+    ``pad`` repeats the last row and column until both sides are multiples of ``GRID``, as ``predict`` does
+    with frames of another shape than the training's.
     """
-    camera = _camera(model, focal)
-    depth: Tensor = model(image, *camera)
-    return 0.5 * (depth + model(image.flip(-1), *camera).flip(-1)) if flip == "mean" else depth
+    return _maps(model, image, focal, flip, pad)[0]
 
 
 @torch.inference_mode()
 def predict_spread(
-    model: nn.Module, image: Tensor, focal: Tensor | None = None, *, flip: str = "none"
+    model: nn.Module,
+    image: Tensor,
+    focal: Tensor | None = None,
+    *,
+    flip: str = "none",
+    pad: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """Depth as :func:`predict_depth`, and the standard deviation of ln depth; ``(B, 1, h, w)`` each."""
-    camera = _camera(model, focal)
-    depth, spread = model(image, *camera, with_spread=True)
-    if flip == "mean":
-        mirrored = [each.flip(-1) for each in model(image.flip(-1), *camera, with_spread=True)]
-        depth, spread = 0.5 * (depth + mirrored[0]), 0.5 * (spread + mirrored[1])
+    depth, spread = _maps(model, image, focal, flip, pad, with_spread=True)
     return depth, spread
+
+
+def pads(dataset: DepthDataset, image: Tensor) -> bool:
+    """Whether ``predict`` would pad images ``(B, 3, h, w)`` of this size."""
+    return dataset.stretch is not None and tuple(image.shape[-2:]) != dataset.input_size
+
+
+def _maps(
+    model: nn.Module, image: Tensor, focal: Tensor | None, flip: str, pad: bool, **options: bool
+) -> list[Tensor]:
+    """What ``model`` answers, one map or several."""
+    height, width = image.shape[-2:]
+    if pad:
+        image = F.pad(image, (0, -width % GRID, 0, -height % GRID), mode="replicate")
+
+    def run(picture: Tensor) -> list[Tensor]:
+        found = model(picture, *_camera(model, focal), **options)
+        return [found] if isinstance(found, Tensor) else list(found)
+
+    maps = run(image)
+    if flip == "mean":
+        maps = [0.5 * (one + other.flip(-1)) for one, other in zip(maps, run(image.flip(-1)), strict=True)]
+    return [each[..., :height, :width] for each in maps]
 
 
 def _camera(model: nn.Module, focal: Tensor | None) -> tuple[Tensor, ...]:
@@ -130,10 +161,11 @@ def evaluate_batches(
             image = batch["image"].to(device, memory_format=torch.channels_last)
             focal = batch["intrinsics"][:, 0, 0].to(device)
             depth, mask = batch["depth"].to(device), batch["mask"].to(device)
+            pad = pads(dataset, image)
             if meter is None:
-                prediction = predict_depth(model, image, focal, flip=protocol.flip)
+                prediction = predict_depth(model, image, focal, flip=protocol.flip, pad=pad)
             else:
-                prediction, spread = predict_spread(model, image, focal, flip=protocol.flip)
+                prediction, spread = predict_spread(model, image, focal, flip=protocol.flip, pad=pad)
                 valid = protocol.valid_mask(depth, mask)
                 aligned = protocol.align(prediction.float(), depth, valid)
                 spread = protocol.resize_to_gt(spread.float(), depth.shape[-2:])
@@ -177,7 +209,8 @@ def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol,
         for index in range(0, len(dataset), max(1, len(dataset) // rows))[:rows]:
             batch: dict[str, Any] = collate([dataset[index]])
             focal = batch["intrinsics"][:, 0, 0].to(device)
-            prediction = predict_depth(model, batch["image"].to(device), focal).cpu()
+            shown = batch["image"].to(device)
+            prediction = predict_depth(model, shown, focal, pad=pads(dataset, shown)).cpu()
             valid = protocol.valid_mask(batch["depth"], batch["mask"])
             prediction = protocol.align(prediction, batch["depth"], valid)
             image = protocol.resize_to_gt(batch["image"], batch["depth"].shape[-2:])

@@ -57,6 +57,13 @@ def open_splits(
     return Splits(train, val, test)
 
 
+class OwnShape(NamedTuple):
+    """Images keep their frame's shape, as in ``predict`` (:class:`~eldenet.data.base.DepthDataset`)."""
+
+    size: tuple[int, int]  # (height, width) [px] of frames of the training's shape
+    stretch: float = 1.0  # of the training: by how much its images are wider than its frames
+
+
 def open_split(
     data: Mapping[str, Any],
     split: str,
@@ -65,7 +72,7 @@ def open_split(
     augmentation: Mapping[str, Any] | None = None,
     score: bool = False,
     seed: int = 0,
-    input_size: Sequence[int] | None = None,
+    input_size: "Sequence[int] | OwnShape | None" = None,
     frames: int | None = None,
 ) -> DepthDataset:
     """Open one part of a data set: resized for training, or with its own ground truth for scoring.
@@ -77,13 +84,17 @@ def open_split(
         augmentation: settings of what follows, for training; None or empty: nothing.
         score: keep the ground truth's own resolution, as "val" and "test" always do.
         seed: of the augmentation.
-        input_size: ``(height, width)`` [px] that the network sees; None: what ``data`` says.
+        input_size: ``(height, width)`` [px] that the network sees, or :class:`OwnShape`; None: what ``data``
+            says.
         frames: for rendered scenes, the number of first frames of the split to use instead of its own choice.
 
     Raises:
         ValueError: there is no such split, or the protocol does not fit its ground truth.
     """
     settings, subset = split_settings(data, split), subset_of(data).get(split)
+    stretch = None
+    if isinstance(input_size, OwnShape):
+        input_size, stretch = input_size
     steps: list[Any] = []
     if protocol.changes_frames:
         whole = protocol.paste and (score or split != "train")
@@ -115,6 +126,7 @@ def open_split(
     if score or split != "train":  # only the protocol says what is scored
         protocol.check_ground_truth(dataset.ground_truth)
         dataset.min_depth, dataset.max_depth = protocol.min_depth, protocol.max_depth
+    dataset.stretch = stretch
     if dataset.on_error == "skip":
         dataset.leave_out_unreadable()
     if subset is not None and frames is None:

@@ -13,7 +13,7 @@ from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.cost import CostReport, measure_cost
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, Evaluation, evaluate, sample_rows
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.evaluation.splits import open_split
+from eldenet.evaluation.splits import OwnShape, open_split
 from eldenet.evaluation.uncertainty_metrics import PROTOCOL
 from eldenet.model import DepthNet
 from eldenet.results.fingerprints import fingerprints
@@ -34,7 +34,7 @@ def score(
     resources: Resources,
     log: RunLog,
     *,
-    input_size: Sequence[int] | None = None,
+    input_size: Sequence[int] | OwnShape | None = None,
     measure: Callable[[Any, tuple[int, int]], CostReport] = measure_cost,
     facts: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -50,8 +50,9 @@ def score(
         protocol: the rules.
         resources: device, threads, workers.
         log: what the person sees.
-        input_size: ``(height, width)`` [px] that the network sees; None: the data set's own.
-        measure: network and ``(height, width)`` [px] -> its cost.
+        input_size: ``(height, width)`` [px] that the network sees, or frames of their own shapes; None: the
+            data set's own size.
+        measure: network and ``(height, width)`` [px] of the first frame -> its cost.
         facts: of the training, if there was one: ``training`` (its progress), ``skipped`` (split -> name ->
             reason), ``teacher`` (loss term -> source and hash) and ``overrides`` (of the command line).
 
@@ -128,7 +129,7 @@ def _evaluate(
 def _training_set(
     data: Mapping[str, Any],
     protocol: EvalProtocol,
-    input_size: Sequence[int] | None,
+    input_size: Sequence[int] | OwnShape | None,
     scored: DepthDataset,
     log: RunLog,
 ) -> DepthDataset | None:
@@ -147,6 +148,8 @@ def _training_set(
                 f"all of data.train.frames={wanted} are rendered yet"
             )
             few = {"frames": RENDERED_FOR_A_CONSTANT}
+        if isinstance(input_size, OwnShape):
+            input_size = input_size.size  # a mean depth map has one size
         train_set = open_split(data, "train", protocol, input_size=input_size, **few)
     except (FileNotFoundError, ValueError) as error:
         log.say(f"no constant predictor in the table, because the training frames are missing: {error}")

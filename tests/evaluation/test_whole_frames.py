@@ -166,18 +166,21 @@ def test_frames_of_another_shape_are_scored_as_they_are_predicted(
     model.info["stretch"] = stretch
     model.save_pretrained(tmp_path / "model")
     predictor = DepthPredictor(DepthNet.from_pretrained(tmp_path / "model"), steady=False)
-    (tmp_path / "frames/depths").mkdir(parents=True)
-    for number in range(2):
-        photo = np.random.default_rng(number).integers(0, 255, (64, 256, 3), np.uint8)
+    for name in ("depths", "cameras"):
+        (tmp_path / "frames" / name).mkdir(parents=True)
+    for number, size in enumerate([(64, 256), (64, 256), (256, 128)]):  # the last one upright
+        photo = np.random.default_rng(number).integers(0, 255, (*size, 3), np.uint8)
         save(tmp_path / f"frames/images/{number}.png", photo)
         np.save(tmp_path / f"frames/depths/{number}.npy", predictor(photo, focal=200))
+        camera = f"200 200 {size[1] / 2 - 0.5} {size[0] / 2 - 0.5}"
+        (tmp_path / f"frames/cameras/{number}.txt").write_text(camera)
     words = [
         f"checkpoint={tmp_path}/model",
         "data=folder",
         f"data.root={tmp_path}/frames",
         "data.encoding=meters",
     ]
-    words += ["data.intrinsics=[200,200,127.5,31.5]", "data.test_split=all", "runtime.workers=0"]
+    words += ["data.intrinsics=cameras", "data.test_split=all", "runtime.workers=0"]
     record = evaluate(compose(EvaluateSettings, [*words, f"output={tmp_path}/scores"]))
     assert record["metrics"]["abs_rel"] < 1e-4
     assert (record["cost"]["height"], record["cost"]["width"]) == shown
