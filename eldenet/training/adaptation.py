@@ -23,7 +23,7 @@ from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, evaluate, predict_dep
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.geometry import resize_image, size_of_aspect
-from eldenet.model import DepthNet, eval_mode, size_of_frames
+from eldenet.model import DepthNet, eval_mode, merge_info, size_of_frames
 from eldenet.results.before_after import (
     Change,
     check_scale,
@@ -78,7 +78,7 @@ def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
     if start.canonical_px is not None and plain_set[0]["intrinsics"][0, 0] <= 0:
         log.say("note: without intrinsics the canonical camera is assumed, now and in each later prediction")
     start.to(resources.device)
-    before = _score(start, held_out, protocol, resources)
+    before = _score(start, as_predicted(held_out, start), protocol, resources)
     model = copy.deepcopy(start)
     beside = beside_prediction(model, [plain_set[index] for index in known])
     refuse_odd_depth(beside)
@@ -87,6 +87,7 @@ def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
     check_scale(scale, f"{unit}, intrinsics [px] and weights", force=s["force"])
     model.rescale(scale)
     scaled = copy.deepcopy(model)
+    scaled.info = merge_info(scaled.info, {"input_size": list(size)})  # at which the scale was measured
     loss = instantiate(s["loss"], "loss")
     left = 60 * s["minutes"] - (time.monotonic() - started)
     epochs = affordable_epochs(model, train_set, left, most=s["trainer"]["epochs"], seed=s["seed"])
@@ -165,6 +166,14 @@ def make_frames(
     plain_set = open_split(data, "train", protocol, seed=seed, input_size=size)
     plain_set.cache = "none"  # each frame is read once
     return size, train_set, plain_set, open_split(data, "val", protocol, seed=seed, input_size=size)
+
+
+def as_predicted(frames: DepthDataset, model: DepthNet) -> DepthDataset:
+    """The same frames as ``predict`` shows them to a network that was not trained on their shape."""
+    shown, seen = copy.copy(frames), size_of_frames(model.info)
+    if seen is not None:
+        shown.input_size, shown.stretch = (seen[0], seen[1]), float(model.info.get("stretch") or 1.0)
+    return shown
 
 
 def refuse_unfit(frames: DepthDataset, held_out: DepthDataset) -> list[int]:

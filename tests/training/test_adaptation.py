@@ -1,5 +1,6 @@
 """Weights adapt to a camera on held-out evidence alone."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import eldenet
 from eldenet.adapt import AdaptSettings, adapt
 from eldenet.compose import compose
 from eldenet.data.folder import FolderDataset
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.evaluation.splits import chosen_protocol
 from eldenet.results.before_after import Change, refuse_copies, thumbnail
 from eldenet.training.adaptation import (
@@ -112,6 +114,32 @@ def test_weights_that_are_right_already_stay_as_they_were(tmp_path, capsys):
     assert "not kept" in capsys.readouterr().out
     kept, old = (eldenet.load(tmp_path / name).state_dict() for name in ("run", "start"))
     assert all(torch.equal(kept[name], old[name]) for name in old)
+
+
+@pytest.mark.parametrize("tuned", ["all weights", "the scale alone"])
+def test_frames_of_another_shape_are_compared_as_predict_sees_them(tmp_path, monkeypatch, tuned):
+    monkeypatch.setattr("eldenet.training.adaptation.best_candidate", lambda _: tuned)
+    rng, before = (
+        np.random.default_rng(0),
+        DepthPredictor(eldenet.load(start(tmp_path / "start")), steady=False),
+    )
+    for part in ("images", "depths"):
+        (tmp_path / part).mkdir()
+    for number in range(48):
+        image = cv2.resize(rng.integers(0, 255, (4, 9, 3), np.uint8), (72, 30))
+        depth = 2.5 * before(np.ascontiguousarray(image[..., ::-1]))
+        cv2.imwrite(str(tmp_path / f"images/{number:03d}.png"), image)
+        cv2.imwrite(str(tmp_path / f"depths/{number:03d}.png"), np.rint(depth * 1000).astype(np.uint16))
+    assert adapt(setup(tmp_path, "optimizer.lr=1e-2"))
+    after, rows = DepthPredictor(eldenet.load(tmp_path / "run"), steady=False), []
+    with (tmp_path / "run/held_out.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        image = cv2.imread(str(tmp_path / f"images/{row['name']}.png"))[..., ::-1]
+        truth = cv2.imread(str(tmp_path / f"depths/{row['name']}.png"), cv2.IMREAD_UNCHANGED) / 1000
+        for when, predictor in (("before", before), ("after", after)):
+            error = np.abs(predictor(np.ascontiguousarray(image)) / truth - 1).mean()
+            assert float(row[f"abs_rel_{when}"]) == pytest.approx(error, rel=1e-3)
 
 
 @pytest.mark.parametrize(("count", "known"), [(20, None), (48, 10), (160, 10)])
