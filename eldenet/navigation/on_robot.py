@@ -74,6 +74,10 @@ class OnRobot:
             if part is not None:
                 part.reset()
 
+    def wait(self) -> None:
+        """Note that the robot executed ``observer.last`` for a period; call this for each without a step."""
+        self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][-SENT:]
+
     def step(
         self,
         depth: np.ndarray | Scan,
@@ -152,7 +156,7 @@ class OnRobot:
         check_bearing(goal_row[0, 1], now[0, 2])
         then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
         matrix = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
-        self._sent = [*self._sent, tuple(self.observer.last[0].tolist())][-SENT:]
+        self.wait()
         reason = unfit(depth, matrix, now, goal_row, then)
         if reason is None and sigma is not None and (unsure := unsure_share(depth, sigma)) > MOST_UNSURE:
             reason = f"{unsure:.0%} of the view is unsure: a covered lens, darkness or a bare wall"

@@ -7,6 +7,7 @@ import pytest
 from eldenet_ros.driving import Pilot
 
 from eldenet.geometry import pinhole
+from eldenet.navigation.latency import ahead
 from eldenet.navigation.policy import Navigator
 
 CAMERA = pinhole(110.0, 110.0, 80.0, 60.0)
@@ -58,6 +59,34 @@ def test_a_camera_that_repeats_one_picture_stops_it() -> None:
         pilot.move((0.0, 0.0, 0.0), "odom", now)
         moves = pilot.decide(now).speed > 0
         assert moves == (now < 100.5)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_latency_is_predicted_by_what_it_executed_in_every_period(silent, monkeypatch) -> None:
+    """Without a new picture the last command goes on; without data it stands."""
+    asked = []
+
+    def spy(pose, goal, sent, latency):
+        asked.append(list(sent[-2:]))
+        return ahead(pose, goal, sent, latency)
+
+    monkeypatch.setattr("eldenet.navigation.on_robot.ahead", spy)
+    pilot = fed(latency=0.4)
+    executed, x = [], 0.0
+    for period in range(12):
+        now = 100.1 + 0.2 * period
+        if period % 2 == 0:
+            feed(pilot, now, depth=0.8 + 0.05 * period, pose=(x, 0.0, 0.0))
+        if silent and period in (5, 6, 7):
+            pilot.stamps["odometry"] = now - 3.0
+        before = len(asked)
+        command = pilot.decide(now)
+        if len(asked) > before and len(executed) > 1:
+            assert asked[-1] == executed[-2:]
+        executed.append((command.speed, command.turn))
+        x += 0.2 * command.speed
+    assert len(asked) > 2
+    assert len(set(executed)) > 2
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])

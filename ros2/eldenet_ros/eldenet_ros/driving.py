@@ -126,13 +126,18 @@ class Pilot:
 
     def decide(self, now: float) -> Command:
         """Return the command at ``now`` [s]; call this every 0.2 s."""
-        command = self._decide(now)
+        command = self._without_step(now)
+        if command is None:
+            command = self._step()
+        else:
+            self.driver.wait()
         if not (math.isfinite(command.speed) and math.isfinite(command.turn)):
             command = Command(reason="the driver's command is not finite")
         self.driver.observer.last[:] = command.speed, command.turn  # what it does, whatever was chosen
         return command
 
-    def _decide(self, now: float) -> Command:
+    def _without_step(self, now: float) -> Command | None:
+        """The command where the driver is not asked; None: it has something new to decide by."""
         for name, stamp in self.stamps.items():
             if math.isnan(stamp):
                 return Command(reason=f"no {name} yet")
@@ -143,22 +148,28 @@ class Pilot:
             return Command(reason="no camera_info of the depth yet")
         if self.goal is None or not self.poses or self.depth is None:
             return Command(reason="no goal")
-        x, y, yaw = self.poses[-1][1]
-        distance = math.dist((x, y), self.goal)
+        distance, bearing = self._towards(self.goal)
         if distance < GOAL_TOLERANCE:
             self.goal = None
             return Command(reason="goal reached")
-        bearing = math.atan2(self.goal[1] - y, self.goal[0] - x) - yaw
-        bearing = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
         known = math.isfinite(distance) and math.isfinite(bearing)
         # the driver trusts two scans that agree, so a picture must not be given to it twice
-        if known and self.depth is self._decided:
-            return self._command
+        return self._command if known and self.depth is self._decided else None
+
+    def _towards(self, goal: tuple[float, float]) -> tuple[float, float]:
+        """Distance [m] and bearing [rad] of a point from the last pose; nan where that is not finite."""
+        x, y, yaw = self.poses[-1][1]
+        bearing = math.atan2(goal[1] - y, goal[0] - x) - yaw
+        bearing = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
+        return math.dist((x, y), goal), bearing
+
+    def _step(self) -> Command:
+        """Let the driver decide."""
         try:
             speed, turn = self.driver.step(
                 self.depth,
-                (distance, bearing),
-                (x, y, yaw),
+                self._towards(self.goal),
+                self.poses[-1][1],
                 sigma=self.sigma,
                 intrinsics=self.intrinsics,
                 **self.mount,
