@@ -340,10 +340,10 @@ def evaluate(s: NavigateEvaluateSettings, log: "RunLog") -> None:
         table.append([str(density), f"{found['success']:.1f}", interval, *rates, f"{found['spl']:.3f}"])
     _write_record(s, sensor, driver, {"metrics": metrics, "arenas": hashes})
     filtered = "range filter, " if episode.filters(sensor) else ""
-    title = (
-        f"{driver.name}, {s.physics}, goal {s.goal}, {filtered}{s.episodes} {s.split} arenas "
-        f"({s.arena.kind}) per density: {folder / RUN_FILE}"
-    )
+    driven = f"{s.episodes} {s.split} arenas ({s.arena.kind}) per density"
+    if s.arena.file is not None:
+        driven = f"{len(rows)} arenas of {s.arena.file}"
+    title = f"{driver.name}, {s.physics}, goal {s.goal}, {filtered}{driven}: {folder / RUN_FILE}"
     log.table(title, ["obstacles", "success [%]", "95 %", "collision", "time-out", "time [s]", "SPL"], table)
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 
+import numpy as np
 import pytest
 
 from eldenet.compose import compose
@@ -132,6 +133,22 @@ def test_evaluate_writes_rows_and_a_record_of_driver_and_sensor(run_command, tmp
     assert run["driver"]["observer"]["slows_within"] == 2.0
     errors = sha256(PACKAGED_ERRORS.read_bytes())
     assert run["inputs"] == {"errors": {"source": "packaged", "sha256": errors}}
+
+
+def test_evaluate_says_how_many_worlds_of_a_file_were_driven(run_command, tmp_path):
+    np.savez(
+        tmp_path / "worlds.npz",
+        centers=np.array([[-2.0, 8.0], [-1.0, 9.0]], np.float32),
+        radius=np.float32(0.075),
+        world_start=np.array([0, 1, 2]),
+        path=np.array([[17, 0], [17, 20]] * 2),
+        path_start=np.array([0, 2, 4]),
+    )
+    said = run_command(
+        "navigate", "mode=evaluate", "arena.file=worlds.npz", "policy=straight", "physics=kinematic"
+    ).stdout
+    assert "2 arenas of worlds.npz" in said
+    assert "test arenas" not in said
 
 
 def test_train_resumes_and_writes_a_policy(run_command, tmp_path):
