@@ -210,7 +210,7 @@ class Watched(WeightedTerm):
     """Remembers what it compared."""
 
     def forward(self, inputs):
-        self.seen = inputs.prediction.detach(), inputs.target, inputs.focal
+        self.seen = inputs.prediction.detach(), inputs.target, inputs.focal, inputs.ratio
         return super().forward(inputs)
 
 
@@ -222,9 +222,11 @@ def test_the_loss_compares_depth_of_the_camera_that_it_is_told(tmp_path: Path) -
         data = TrainingData(Lenses(4), Lenses(2), PROTOCOL)
         trainer.fit(canonical_net().train(), WeightedSum({"l1": term}), data, tmp_path / camera, ONE_THREAD)
         seen[camera] = term.seen
-    prediction, target, focal = seen["own"]
+    prediction, target, focal, none = seen["own"]
+    assert none is None
     assert sorted(focal.tolist()) == [16, 16, 64, 64]
     ratio = (focal / 32).view(4, 1, 1, 1)
     torch.testing.assert_close(seen["canonical"][0] * ratio, prediction)
     torch.testing.assert_close(seen["canonical"][1] * ratio, target)
-    assert seen["canonical"][2].tolist() == [32.0] * 4
+    torch.testing.assert_close(seen["canonical"][2], focal)
+    torch.testing.assert_close(seen["canonical"][3], ratio)

@@ -1,6 +1,7 @@
 """Rays: a network that is told its lens, in training, in torch, and in every file."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from functools import cache
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from eldenet.evaluation.cost import count_macs
 from eldenet.evaluation.evaluator import evaluate, predict_depth, predict_spread
 from eldenet.heads import LogHead, UncertainHead
 from eldenet.losses.base import WeightedSum, WeightedTerm
-from eldenet.losses.distillation import Teacher
+from eldenet.losses.distillation import DistilledTerm, Teacher
 from eldenet.losses.pointwise import L1Loss
 from eldenet.model import DepthNet
 from eldenet.ray_features import RayFeatures
@@ -139,6 +140,29 @@ def test_scores_mirrors_and_teachers_are_told_the_lens(model: DepthNet) -> None:
     torch.testing.assert_close(predict_depth(model, images, FOCAL, flip="mean"), mirrored)
     torch.testing.assert_close(predict_spread(model, images, FOCAL), (depth, spread))
     torch.testing.assert_close(Teacher(model)(images, FOCAL), depth)
+
+
+class Lenses(SyntheticDepth):
+    """Each frame has another lens."""
+
+    def load_frame(self, index: int) -> Frame:
+        focal = (25.0, 40.0, 60.0, 120.0)[index]
+        return super().load_frame(index)._replace(intrinsics=np.diag([focal, focal, 1.0]))
+
+
+@pytest.mark.parametrize("camera", ["canonical", "own"])
+def test_a_network_has_nothing_to_learn_from_itself_whatever_the_lens(
+    model: DepthNet, camera: str, tmp_path: Path
+) -> None:
+    """A teacher that was told the canonical lens for every picture would see other rays than its student."""
+    student = deepcopy(model).requires_grad_(True)
+    student.network.rays.unknown = 0.0
+    term = DistilledTerm(L1Loss(), Teacher(deepcopy(model)))
+    trainer = make_trainer(epochs=1, batch_size=4, loss_camera=camera, freeze=["batchnorm"])
+    frames = Lenses(4, size=SIZE)
+    data = TrainingData(frames, frames, PROTOCOL)
+    trainer.fit(student, WeightedSum({"distilled": term}), data, tmp_path, ONE_THREAD)
+    assert trainer.progress.history[0]["train_distilled"] < 1e-5
 
 
 @pytest.fixture(scope="module")

@@ -161,6 +161,8 @@ class DistilledTerm(WeightedTerm):
         """Return the term without its weight, a scalar; it needs ``image``."""
         assert inputs.image is not None  # the trainer always gives it
         depth = self.teacher(inputs.image, inputs.focal)
+        if inputs.ratio is not None:
+            depth = depth / inputs.ratio
         value = super().forward(inputs._replace(target=depth, mask=torch.isfinite(depth) & (depth > 0)))
         return value if self.feature_weight == 0 else value + self.feature_weight * self._feature_loss()
 

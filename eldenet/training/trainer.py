@@ -292,15 +292,15 @@ class Trainer:
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss, a scalar, and ``mse`` [m²] and the loss's terms by name."""
         depth, focal = batch["depth"], batch["intrinsics"][:, 0, 0]
-        canonical_px = self.bare_model.canonical_px
+        canonical_px, ratio = self.bare_model.canonical_px, None
         mse = squared_error(prediction.detach(), batch)
         if canonical_px is not None and self.loss_camera == "canonical":
             ratio = focal_ratio(focal, canonical_px)
             depth, prediction = depth / ratio, prediction / ratio
-            focal = torch.full_like(focal, canonical_px)
+            focal = ratio.flatten() * canonical_px  # the canonical one where it is unknown
         relative = batch.get("relative")
         total, terms = self._criterion(
-            LossInputs(prediction, depth, batch["mask"], batch["image"], focal, relative, spread)
+            LossInputs(prediction, depth, batch["mask"], batch["image"], focal, ratio, relative, spread)
         )
         return total, {"mse": mse} | terms
 
