@@ -43,8 +43,8 @@ class Teacher:
     def __call__(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
         """Return the depth ``(B, 1, H, W)`` [m] of ``image (B, 3, H, W)``, at the image's size.
 
-        ``focal (B,)`` is fx [px of ``image``], 0 where it is unknown. None: a network with a canonical camera
-        takes the images for whole pictures of that camera, at whatever size it sees them.
+        ``focal (B,)`` is fx [px of ``image``]. Where it is unknown (None, 0, NaN), a network with a canonical
+        camera takes the images for whole pictures of that camera, at whatever size it sees them.
         """
         channels_last = image.is_contiguous(memory_format=torch.channels_last)
         layout = torch.channels_last if channels_last else torch.contiguous_format
@@ -61,8 +61,9 @@ class Teacher:
         takes_focal = getattr(self.network, "canonical_px", None) is not None
         with self.autocast():
             depth = (self.network(image, focal) if takes_focal else self.network(image)).float()
-        if focal is None and self._canonical_width:  # whose pixels the canonical focal length is in
-            depth = depth * (image.shape[-1] / self._canonical_width)
+        if self._canonical_width:  # whose pixels the canonical focal length is in
+            known = depth.new_zeros(()) if focal is None else focal.view(-1, 1, 1, 1)
+            depth = depth.where(known > 0, depth * (image.shape[-1] / self._canonical_width))
         if depth.shape[-2:] != size:
             depth = F.interpolate(depth, size=size, mode="bilinear", align_corners=False)
         return depth

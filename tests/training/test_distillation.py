@@ -97,6 +97,8 @@ def test_a_picture_of_the_canonical_camera_has_its_meters_at_any_size():
     small, large = torch.rand(2, 3, 48, 64), torch.rand(2, 3, 96, 128)
     torch.testing.assert_close(Teacher(network)(small), network(small))
     torch.testing.assert_close(Teacher(network)(large), network(large, 102.4))
+    some = torch.tensor([0.0, 90.0])
+    torch.testing.assert_close(Teacher(network)(large, some), network(large, torch.tensor([102.4, 90.0])))
 
 
 def test_a_teacher_may_see_what_it_was_trained_at(tmp_path):
