@@ -40,6 +40,12 @@ def before(
     for term in loss.terms.values():
         if isinstance(term, DistilledTerm):
             yield term.teacher.describe(data["input_size"])
+            if model.canonical_px and not getattr(term.teacher.network, "canonical_px", None):
+                yield (
+                    f"note: teacher {term.teacher.source} has no canonical camera: its meters are only right "
+                    "for the lens of its training, and not where augmentation zooms, unless "
+                    "augmentation.zoom=depth"
+                )
     if model.canonical_px is not None and (frame := without_camera(splits.train)):
         yield (
             f"note: training frames such as {frame} have no intrinsics, so they count as the canonical "

@@ -6,18 +6,21 @@ from pathlib import Path
 import pytest
 import torch
 from support.networks import canonical_net, small_net
-from support.training import Stopped, fit, make_trainer, stopping_at
+from support.synthetic import SyntheticDepth
+from support.training import ONE_THREAD, Stopped, fit, make_trainer, stopping_at
 
 import eldenet
 from eldenet import zoo
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
+from eldenet.evaluation.splits import Splits
 from eldenet.losses.base import LossInputs, WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm, Teacher
 from eldenet.losses.pointwise import L1Loss
 from eldenet.losses.ssim import SSIMLoss
 from eldenet.system.resources import seed_everything
 from eldenet.train import TrainSettings, train
+from eldenet.training import notes
 from eldenet.training.checkpoint import load_checkpoint
 
 SHAPE = (2, 1, 64, 96)
@@ -215,3 +218,17 @@ def test_the_train_command_distills_from_a_saved_model(run_command, tmp_path, ne
     assert teacher["source"] == "big"
     assert teacher["weights"] == Teacher(eldenet.load(tmp_path / "big")).signature["weights"]
     assert run["training"]["history"][0]["train_distilled"] > 0
+    assert "has no canonical camera" not in finished.stdout  # neither has the student
+
+
+def test_a_teacher_of_one_lens_is_named_beside_a_student_of_any(tmp_path):
+    def said(network: torch.nn.Module, student: torch.nn.Module) -> str:
+        loss = WeightedSum({"distilled": DistilledTerm(L1Loss(), Teacher(network, source="big"))})
+        frames = SyntheticDepth(2)
+        splits, data = Splits(frames, frames, frames), {"name": "made", "input_size": [32, 48]}
+        return "\n".join(notes.before(splits, loss, student, data, ONE_THREAD, tmp_path))
+
+    any_lens = canonical_net(32, 48)
+    assert "note: teacher big has no canonical camera" in said(small_net(), any_lens)
+    for network, student in ((any_lens, any_lens), (any_lens, small_net()), (small_net(), small_net())):
+        assert "canonical camera" not in said(network, student)
