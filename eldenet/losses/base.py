@@ -23,9 +23,9 @@ class LossInputs(NamedTuple):
         mask: ``(B, 1, H, W)`` bool, True where the true depth is known.
         image: ``(B, 3, H, W)`` RGB in [0, 1], for terms with a teacher.
         focal: ``(B,)`` fx [px of ``image``] of the camera that took it; None: unknown.
-        ratio: ``(B, 1, 1, 1)`` meters of that camera per meter of both maps; None: 1.
         relative: ``(B,)`` bool, True where a sample's depth is known up to a factor only; None: nowhere.
         spread: ``(B, 1, H, W)`` the network's standard deviation of ln depth, if it predicts one.
+        ratio: ``(B, 1, 1, 1)`` meters of that camera per meter of both maps; None: 1.
     """
 
     prediction: Tensor
@@ -33,9 +33,9 @@ class LossInputs(NamedTuple):
     mask: Tensor
     image: Tensor | None = None
     focal: Tensor | None = None
-    ratio: Tensor | None = None
     relative: Tensor | None = None
     spread: Tensor | None = None
+    ratio: Tensor | None = None
 
 
 class Loss(nn.Module):

@@ -300,7 +300,7 @@ class Trainer:
             focal = ratio.flatten() * canonical_px  # the canonical one where it is unknown
         relative = batch.get("relative")
         total, terms = self._criterion(
-            LossInputs(prediction, depth, batch["mask"], batch["image"], focal, ratio, relative, spread)
+            LossInputs(prediction, depth, batch["mask"], batch["image"], focal, relative, spread, ratio)
         )
         return total, {"mse": mse} | terms
 

@@ -93,7 +93,7 @@ def test_network_and_loss_need_nothing_of_the_host_on_a_gpu(choice: list[str]) -
         def step() -> None:
             found = model(image, focal, with_spread=loss.needs_spread)
             prediction, spread = found if loss.needs_spread else (found, None)
-            total, _ = loss(LossInputs(prediction, depth, depth > 1.5, image, focal, None, relative, spread))
+            total, _ = loss(LossInputs(prediction, depth, depth > 1.5, image, focal, relative, spread))
             assert total.device.type == "cuda"
 
         step()
