@@ -88,7 +88,11 @@ def evaluate(s: EvaluateSettings) -> dict[str, Any]:
     if checkpoint.kind == "network":
         log.say(untrained_note(s.checkpoint))
     size = chosen_size(s, protocol, model, log)
-    if s.input_size != "model" and model.canonical_px is not None and (name := without_lens(s, protocol)):
+    if (
+        model.canonical_px is not None
+        and not at_training_size(s, model)
+        and (name := without_lens(s, protocol))
+    ):
         log.say(
             f"note: frames such as {name} have no intrinsics, and their meters are only right at the size of "
             "the training: give data.intrinsics, or input_size=model"
@@ -194,6 +198,14 @@ def refuse_to_squeeze(
             f"this file takes {seen} pixels (height, width), which would squeeze frames of {height} x "
             f"{width}: export one with size={list(size)}, or give input_size={seen} to squeeze them"
         )
+
+
+def at_training_size(s: EvaluateSettings, model: "DepthNet | RuntimeNetwork") -> bool:
+    """Whether the settings show frames at the size of the training."""
+    from eldenet.model import size_of_frames
+
+    shown = s.data["input_size"] if s.input_size == "data" else s.input_size
+    return shown == "model" or list(shown or ()) == list(size_of_frames(model.info) or ())
 
 
 def without_lens(s: EvaluateSettings, protocol: "EvalProtocol") -> str:

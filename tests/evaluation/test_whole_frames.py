@@ -186,7 +186,9 @@ def test_frames_of_another_shape_are_scored_as_they_are_predicted(
     assert (record["cost"]["height"], record["cost"]["width"]) == shown
 
 
-@pytest.mark.parametrize(("words", "noted"), [(["input_size=[64,128]"], True), ([], False)])
+@pytest.mark.parametrize(
+    ("words", "noted"), [(["input_size=[64,128]"], True), (["input_size=[32,64]"], False), ([], False)]
+)
 def test_meters_of_an_unknown_lens_are_only_right_at_the_size_of_the_training(
     words: list[str], noted: bool, tmp_path: Path, capsys
 ) -> None:
