@@ -73,12 +73,17 @@ def model_card(info: Mapping[str, Any], model: Mapping[str, Any]) -> str:
         "epoch",
     )
     lines += [f"- {key.replace('_', ' ')}: {_line(info[key])}" for key in shown if info.get(key) is not None]
+    any_lens = model.get("canonical_focal") is not None
     head = model.get("head")
+    if isinstance(head, Mapping) and isinstance(head.get("depth"), Mapping):
+        head = head["depth"]  # of a head that predicts sigma
     if isinstance(head, Mapping) and head.get("max_depth") is not None:
-        lines.append(f"- depth: {_line(head.get('min_depth'))} to {_line(head['max_depth'])} m")
+        unit = "canonical meters" if any_lens else "m"
+        lines.append(f"- depth: {_line(head.get('min_depth'))} to {_line(head['max_depth'])} {unit}")
     lines += ["", "```python", "import eldenet", ""]
     lines += ['model = eldenet.load("owner/name")  # this repository, or a folder']
-    lines += ["depth = model(images)  # (B, 3, H, W) RGB in [0, 1] -> (B, 1, H, W) meters", "```", ""]
+    call, lens = ("model(images, focal)", ", fx [px of images]") if any_lens else ("model(images)", "")
+    lines += [f"depth = {call}  # (B, 3, H, W) RGB in [0, 1]{lens} -> (B, 1, H, W) meters", "```", ""]
     lines += ["`config.json` has all settings and facts.", ""]
     return "\n".join(lines)
 
