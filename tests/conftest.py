@@ -27,10 +27,12 @@ def _one_thread_per_test_process() -> None:
 @pytest.fixture(autouse=True, scope="session")
 def _less_waiting() -> None:
     from support.composing import compose_each_choice_once
+    from support.onnx_operators import parse_operators_once
     from support.timings import short_timings
 
     short_timings()
     compose_each_choice_once()
+    parse_operators_once()
 
 
 @pytest.fixture(scope="session")

@@ -76,6 +76,7 @@ def test_frames_have_that_lens_too(model: DepthNet, folder: Path, tmp_path: Path
     assert np.abs(found / expected - 1).mean() < 0.005  # torch rounds the smaller frame
 
 
+@pytest.mark.parametrize("model", [RayFeatures], indirect=True, ids=["rays"])
 @pytest.mark.parametrize(("format", "name"), [("onnx", "q.onnx"), ("openvino", "q.xml")])
 def test_int8_files_of_one_lens_stay_near(
     model: DepthNet, folder: Path, tmp_path: Path, format: str, name: str

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.detector_files import FILES
 from support.detector_files import save as save_detector
-from support.networks import canonical_net
+from support.networks import canonical_net, light_net
 from support.predicting import exported, listed, photo, read_ply, run, save, settings, turned_by_exif
 
 import eldenet
@@ -231,7 +231,7 @@ def test_intrinsics_fit_pictures_of_one_size(model_folder: Path, tmp_path: Path)
 
 @pytest.mark.parametrize("engine", ["onnxruntime", "openvino"])
 def test_auto_device_means_the_cpu_outside_torch(
-    model_folder: Path, tmp_path: Path, engine: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, engine: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Accelerators of ONNX Runtime and OpenVINO need other builds."""
     pytest.importorskip(engine)
@@ -242,7 +242,8 @@ def test_auto_device_means_the_cpu_outside_torch(
             return choose_resources(**given)
 
     monkeypatch.setattr("eldenet.predict.choose_resources", choose)
-    asked = settings(model_folder, tmp_path / "a.png", tmp_path / "out", f"engine={engine}")
+    folder = light_net().save_pretrained(tmp_path / "model", info={"input_size": [32, 64]})
+    asked = settings(folder, tmp_path / "a.png", tmp_path / "out", f"engine={engine}")
     predictor = open_predictor(asked, RunLog(tmp_path, quiet=True))
     assert predictor.model.device == "cpu"
     assert predictor(photo()).shape == (48, 64)

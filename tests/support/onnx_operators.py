@@ -1,0 +1,13 @@
+"""torch parses the source of every ONNX operator anew for each file, for half a second: here it does so once."""
+
+from contextlib import suppress
+from functools import cache
+
+
+def parse_operators_once() -> None:
+    """In this process; other versions of torch keep them elsewhere and just take longer."""
+    with suppress(ImportError):
+        from torch.onnx._internal import _lazy_import
+
+        apis = _lazy_import.onnxscript_apis
+        apis.get_torchlib_ops = cache(lambda: type(apis).__getattr__(apis, "get_torchlib_ops")())
