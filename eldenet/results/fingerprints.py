@@ -129,7 +129,8 @@ def sources_of(config: Any, name: str = "") -> dict[str, str]:
     found = {}
     for key, value in config.items():
         dotted = f"{name}.{key}" if name else str(key)
-        if key in KEYS and not isinstance(value, Mapping):
+        names_weights = key in KEYS or dotted.endswith("teacher.path")  # the latter: a teacher's ONNX file
+        if names_weights and not isinstance(value, Mapping):
             if value is not None and value is not False:
                 found[dotted] = str(value)
         else:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from support.stored_study import change_run, figures, notes, settings_of, store, table, write_plan
 
-from eldenet.results.fingerprints import differences, fingerprint, run_differences
+from eldenet.results.fingerprints import differences, fingerprint, fingerprints, run_differences
 from eldenet.results.packed_runs import add_record
 from eldenet.studies.plan import Study, read_study
 
@@ -71,6 +71,17 @@ def test_weights_and_teachers_are_compared_with_their_options() -> None:
     ours, there = distilled(source="a", input_size=[240, 320]), distilled(source="a", input_size=None)
     (found,) = run_differences(ours, {"config": there})
     assert found == "loss.terms.distilled.teacher.input_size=[240, 320] (there None)"
+
+
+def test_a_teachers_onnx_file_is_compared_by_content(tmp_path: Path) -> None:
+    file = tmp_path / "teacher.onnx"
+    file.write_bytes(b"one network")
+    config = {"data": {"sources": {"photographs": {"data": {"teacher": {"path": str(file)}}}}}}
+    record = {"config": config, "sources": fingerprints(config)}
+    assert run_differences(config, record) == []
+    file.write_bytes(b"another network")
+    (found,) = run_differences(config, record)
+    assert found.startswith("data.sources.photographs.data.teacher.path=")
 
 
 def test_a_given_teacher_is_not_compared_where_the_loss_refers_to_it() -> None:
