@@ -134,6 +134,9 @@ class CameraInstance:
         if estimate.sigma is not None:
             low = estimate.interval(CAUTION)[0]
             cautious = depth_to_ranges(depth, self.view.intrinsics, tilt=tilt, low=low)
+        if (unseen := np.isnan(ranges)).any():  # unknown, as on a robot
+            cautious = np.where(unseen, 0.0, ranges if cautious is None else cautious)
+            ranges = np.where(unseen, ROBOT.far, ranges)
         fed_by = np.full(ROBOT.columns, FED_BY.index("depth"), np.intp)
         if sensor.lifter is None:
             return Observation(ranges, fed_by, frame, depth, cautious=cautious)

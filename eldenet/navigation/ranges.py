@@ -20,6 +20,7 @@ QUANTILE = 0.10  # of a column's pixels: its nearest surface
 OUTLIERS = 0.08  # of the pixels that a surface would fill there: so few are wrong (a dead pixel column)
 LEAST_VIEW = 50.0  # of a camera, half of it to each side [degrees]
 LOWEST_CAMERA = 0.01  # [m]
+LEAST_REACH = 3.0  # what stands so far ahead must be in the picture [m]
 MOST_TILTED = 0.5  # pitch and roll of a camera; more are degrees given as radians [rad]
 CAUTION = 0.8  # of the interval of depth whose low end is how near things may be
 STANDS = 0.9  # share of the floor's depth below which a pixel shows what stands on the floor
@@ -47,7 +48,8 @@ def depth_to_ranges(
     there: small holes end below ``heights`` and are ignored, a patch that could hide an obstacle is one.
     Without visible floor below, the camera may be blind close up, and the column reads as near.
 
-    Columns beside the camera's view are nan. It must see at least :data:`LEAST_VIEW` degrees.
+    Columns beside the camera's view are nan, and so are empty ones where a tilted camera sees the floor close
+    by and nothing of what stands :data:`LEAST_REACH` ahead. At least :data:`LEAST_VIEW` degrees must show it.
 
     Args:
         depth: ``(H, W)`` [m] along the optical axis.
@@ -60,8 +62,9 @@ def depth_to_ranges(
         heights: low and high end of what the robot can touch, above the floor [m].
 
     Raises:
-        ValueError: ``depth`` is in millimeters, the camera's field of view is too small, its pixels are too
-            few for the columns, or its intrinsics, height or tilt are impossible.
+        ValueError: ``depth`` is in millimeters, the camera's field of view is too small or shows nothing of
+            what stands ahead, its pixels are too few for the columns, or its intrinsics, height or tilt are
+            impossible.
     """
     check_meters(depth)
     height, width = depth.shape
@@ -90,12 +93,20 @@ def depth_to_ranges(
     away = depth if low is None else np.minimum(low, depth)
     ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
     rows = _rows_at(down[:, width // 2] if any(tilt) else down[:, 0], camera_height, robot, heights)
+    reaches = _reaches(down, camera_height, robot, heights)
+    ahead = np.abs(robot.column_angles) < min(math.radians(LEAST_VIEW), robot.field_of_view) / 2
     out = np.full(robot.columns, robot.far)
     for number in range(robot.columns):
-        pixels = ranges[column == number] if any(tilt) else ranges[:, column == number]
-        if not pixels.size:
+        here = column == number
+        pixels = ranges[here] if any(tilt) else ranges[:, here]
+        if not pixels.size or not (reaches[here] if any(tilt) else reaches).any():
             out[number] = np.nan
-            continue
+            if ahead[number]:
+                raise ValueError(
+                    f"a camera {camera_height:g} m high with camera_pitch={tilt[0]:g} and camera_roll="
+                    f"{tilt[1]:g} does not show what stands {LEAST_REACH:g} m ahead: tilt it less, or give "
+                    "the whole picture"
+                )
         values = np.sort(pixels[np.isfinite(pixels)])
         first = int(QUANTILE * values.size)
         needed = OUTLIERS * (pixels.size / height) * np.interp(values[first:], *rows)
@@ -103,6 +114,14 @@ def depth_to_ranges(
         if enough.size:
             out[number] = values[first + enough[0]]
     return np.clip(out, robot.near, robot.far)
+
+
+def _reaches(
+    down: np.ndarray, camera_height: float, robot: Robot, heights: tuple[float, float]
+) -> np.ndarray:
+    """Which pixels, of the shape of ``down``, see heights that can touch the robot far ahead."""
+    above = [camera_height - down * depth for depth in (LEAST_REACH, robot.far)]
+    return np.any([(at > heights[0]) & (at < heights[1]) for at in above], axis=0)
 
 
 def _rows_at(

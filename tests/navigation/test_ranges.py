@@ -146,6 +146,41 @@ def test_a_dead_pixel_column_is_no_obstacle(wrong):
     assert (depth_to_ranges(free, intrinsics) == ROBOT.far).all()
 
 
+@pytest.mark.parametrize(
+    ("fov", "size", "pitch"),
+    [(60, (480, 640), 0.3), (60, (480, 640), 0.4), (69.4, (96, 128), 0.5), (55, (360, 640), -0.3)],
+)
+def test_a_tilted_camera_calls_no_column_free_in_which_it_sees_the_floor_close_by_alone(
+    fov: float, size: tuple[int, int], pitch: float
+) -> None:
+    """By rays to points 3 and 10 m ahead: a column is free only where the picture shows one of them."""
+    height, width = size
+    focal = width / 2 / math.tan(math.radians(fov / 2))
+    intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    ranges = depth_to_ranges(np.full(size, np.inf), intrinsics, tilt=(pitch, 0.0))
+    shown, step = [], ROBOT.field_of_view / ROBOT.columns
+    for angle in np.array(ROBOT.column_angles)[:, None] + step * np.array([-0.49, 0, 0.49]):
+        for away in (3.0, 10.0):
+            up = ROBOT.camera_height - np.linspace(0.16, 0.59, 40)  # below the camera
+            level = np.stack(np.broadcast_arrays(-away * np.tan(angle)[:, None], up, away)).reshape(3, -1)
+            c, s = math.cos(pitch), math.sin(pitch)
+            x, y, z = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ level
+            u, v = focal * x / z + (width - 1) / 2, focal * y / z + (height - 1) / 2
+            inside = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (z > 0)
+            shown.append(inside.any())
+    shown = np.reshape(shown, (-1, 2)).any(axis=1)
+    assert 30 <= shown.sum() < 40
+    assert (np.isnan(ranges) | shown).all()
+    assert (ranges == ROBOT.far).sum() >= shown.sum() - 2  # less than a pixel of a column may show it
+
+
+def test_a_camera_that_shows_nothing_ahead_is_refused() -> None:
+    level = np.full((360, 640), np.inf)
+    for pitch in (0.5, -0.5):
+        with pytest.raises(ValueError, match=rf"camera_pitch={pitch} .* what stands 3 m ahead: tilt it less"):
+            depth_to_ranges(level, (457, 457, 319.5, 179.5), tilt=(pitch, 0.0))
+
+
 def test_a_far_low_object_still_has_enough_pixels():
     for size in ((96, 128), (480, 640)):
         depth, intrinsics = hall((6.0, -0.5, 0.5, 0.3), size=size)

@@ -1,4 +1,4 @@
-"""torch parses the source of every ONNX operator anew for each file, for half a second: here it does so once."""
+"""torch parses the source of every ONNX operator anew for each file, for half a second: here, once."""
 
 from contextlib import suppress
 from functools import cache
