@@ -7,13 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eldenet.geometry import check_intrinsics, intrinsic_matrix, resize_intrinsics, same_aspect
-from eldenet.system.errors import reading
+from eldenet.system.errors import reading, warn_once
 from eldenet.system.files import parse_json, read_text
 
 CAMERA_ENDINGS = (".json", ".txt", ".csv", ".yaml", ".yml", ".pincam")
 CENTRAL = 0.1  # how far from the middle a principal point may lie, as a share of the side
 _MATRICES = ("intrinsic_matrix", "intrinsics", "camera_matrix", "K", "cam_K")
 _NUMBERS = (("fx", "fl_x"), ("fy", "fl_y"), ("cx",), ("cy",))
+_BENT = ("distortion_coefficients", "distortion", "D")  # of ROS and OpenCV; others name each one
+_BENDS = ("k1", "k2", "p1", "p2", "k3", "k4")  # in OpenCV's order
+_STRAIGHT = 0.02  # coefficients up to this move a corner by about a hundredth of the picture
 _SIDES = (("height", "h", "image_height"), ("width", "w", "image_width"))
 
 
@@ -93,6 +96,7 @@ def camera_of(record: Any, source: object) -> Camera:
     """Return the camera that a JSON record states, as ARKit's apps, Nerfstudio and Open3D write it.
 
     Convention: their poses have the axes of OpenGL and ARKit (x right, y up, z back), which are turned here.
+    Distortion is not undone: a line says so.
 
     Raises:
         ValueError: it states none, or that of a fisheye lens; names ``source``.
@@ -112,11 +116,26 @@ def camera_of(record: Any, source: object) -> Camera:
         stored = [_first(record, names) for names in _NUMBERS]
     sides = [_first(sized, names) for names in _SIDES]
     size = None if None in sides else (int(sides[0]), int(sides[1]))
+    if bends := _distortion(sized):
+        warn_once(
+            f"the camera's calibration states distortion ({bends}), which is not undone: give rectified "
+            "pictures and their intrinsics (ROS: projection_matrix)"
+        )
     return Camera(_matrix(stored, source), size, _pose(record, source))
 
 
 def _first(record: Mapping[str, Any], names: Sequence[str]) -> Any:
     return next((record[name] for name in names if name in record), None)
+
+
+def _distortion(record: Mapping[str, Any]) -> str:
+    """What a calibration says of a lens that bends straight lines, in words; empty where it does not."""
+    stored: Any = _first(record, _BENT)
+    if isinstance(stored, Mapping):
+        stored = stored.get("data")
+    found = dict(zip(_BENDS, stored, strict=False)) if isinstance(stored, list) else record
+    bends = {name: found[name] for name in _BENDS if isinstance(found.get(name), int | float)}
+    return ", ".join(f"{name}={value:g}" for name, value in bends.items() if abs(value) > _STRAIGHT)
 
 
 def _matrix(stored: Any, source: object) -> np.ndarray:

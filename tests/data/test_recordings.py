@@ -14,7 +14,7 @@ from support.recordings import CAMERA, COUNT, RECORDERS, SIZE
 
 from eldenet.adapt import AdaptSettings
 from eldenet.compose import compose
-from eldenet.data.camera_files import read_camera
+from eldenet.data.camera_files import camera_of, read_camera
 from eldenet.data.folder import FolderDataset
 from eldenet.data.frame_files import seconds_of
 from eldenet.geometry import pinhole, resize_intrinsics
@@ -358,6 +358,26 @@ def test_what_is_no_camera_is_refused(file: str, content: str, tmp_path: Path) -
     (tmp_path / file).write_text(content)
     with pytest.raises(ValueError, match=file):
         read_camera(tmp_path / file)
+
+
+@pytest.mark.parametrize(
+    ("record", "said"),
+    [
+        ({"distortion_coefficients": {"data": [-0.3, 0.1, 0.001, 0.0, 0.0]}}, "(k1=-0.3, k2=0.1)"),
+        ({"distortion": [0.0, 0.0, 0.0, 0.0, 0.4]}, "(k3=0.4)"),
+        ({"k1": 0.05, "p2": -0.03}, "(k1=0.05, p2=-0.03)"),  # Nerfstudio
+        ({"distortion_coefficients": {"data": [0.0] * 5}}, ""),
+        ({"k1": 0.001}, ""),
+        ({}, ""),
+    ],
+)
+def test_a_lens_that_bends_lines_is_said(record: dict, said: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Its pictures are taken as a pinhole's."""
+    camera = camera_of(
+        {"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5, "w": 64, "h": 48, **record}, "camera.json"
+    )
+    assert camera.matrix[0, 0] == 60
+    assert [said in line for line in caplog.messages] == ([True] if said else [])
 
 
 def test_adapt_takes_a_file_of_the_camera_where_it_tunes_on_depth() -> None:
