@@ -32,7 +32,7 @@ def fit_temperature(
         batch_size: images at a time.
 
     Raises:
-        ValueError: the network predicts no sigma.
+        ValueError: the network predicts no sigma, or no depth is known.
     """
     head = model.head
     assert isinstance(head, UncertainHead), NO_SIGMA
@@ -55,6 +55,11 @@ def fit_temperature(
                 for one, known in zip(ratio, valid, strict=True)
                 if known.any()
             ]
+    if not means:
+        raise ValueError(
+            f"no pixel of {len(dataset)} frames has a known depth that protocol {protocol.name} counts: give "
+            "other frames to calibrate on"
+        )
     mean = sum(means) / len(means)
     factor = math.sqrt(2) * mean if power == 1 else math.sqrt(mean)
     head.temperature.mul_(factor)

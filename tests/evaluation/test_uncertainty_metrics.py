@@ -1,7 +1,7 @@
 """Measures of sigma, against answers worked out by hand and errors drawn from known distributions."""
 
 import math
-from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -144,10 +144,14 @@ def test_the_temperature_corrects_a_sigma_that_is_too_small(distribution: str, m
         "intrinsics": torch.zeros(8, 3, 3),
     }
     monkeypatch.setattr(calibration, "evaluation_loader", lambda *_: [[batch]])
-    model, frames = Constant(distribution), SimpleNamespace(stretch=None)
+    model, frames = Constant(distribution), MagicMock(stretch=None)
+    frames.__len__.return_value = 8
     protocol = EvalProtocol("p", max_depth=100.0, ground_truth="dense")
     assert fit_temperature(model, frames, protocol) == pytest.approx(2.5, abs=0.05)
     assert fit_temperature(model, frames, protocol) == pytest.approx(2.5, abs=0.05)  # fitted again, it stays
+    batch["mask"].zero_()
+    with pytest.raises(ValueError, match="no pixel of 8 frames has a known depth that protocol p counts"):
+        fit_temperature(model, frames, protocol)
 
 
 def test_a_run_folder_shows_the_measures(tmp_path, monkeypatch) -> None:
