@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -204,13 +205,17 @@ def calibration_feeds(source: str | Path, inputs: Sequence[np.ndarray]) -> list[
 @contextmanager
 def quiet() -> Iterator[None]:
     """Keep the log lines, warnings and prints of exporters and quantizers off the terminal."""
-    disabled = logging.root.manager.disable
+    disabled, output = logging.root.manager.disable, os.dup(1)
     logging.disable(logging.WARNING)
     try:
         with warnings.catch_warnings(), redirect_stdout(StringIO()), redirect_stderr(StringIO()):
             warnings.simplefilter("ignore")
+            with open(os.devnull, "w") as nowhere:
+                os.dup2(nowhere.fileno(), 1)  # torch prints the graph that it cannot express from C++
             yield
     finally:
+        os.dup2(output, 1)
+        os.close(output)
         logging.disable(disabled)
 
 
