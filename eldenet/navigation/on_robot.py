@@ -173,7 +173,12 @@ class OnRobot:
             if (pitch, roll, factor) != (0.0, 0.0, 1.0):
                 tilt, depth, camera = (camera_pitch + pitch, camera_roll + roll), depth * factor, None
                 sigma = None if sigma is None else sigma * factor
-        ranges = low = as_ranges(depth if scan is None else scan, matrix, camera_height, tilt=tilt)
+        try:
+            ranges = low = as_ranges(depth if scan is None else scan, matrix, camera_height, tilt=tilt)
+        except ValueError as error:
+            if tilt == (camera_pitch, camera_roll):
+                raise
+            return self._stand(f"the camera is not as it was said: {error}")  # by the leveler, in a drive
         if sigma is not None:
             low = as_ranges(depth, matrix, camera_height, tilt=tilt, low=nearest_depth(depth, sigma))
         unseen = np.isnan(ranges)

@@ -296,6 +296,14 @@ def test_a_known_tilt_changes_nothing(pitch, roll):
         assert depth_to_ranges(depth, CAMERA).min() < 3
 
 
+def test_a_robot_stands_where_a_leveled_camera_would_see_nothing_ahead():
+    driver = Navigator.load()
+    driver.watch = None
+    driver.leveler = lambda *_: (0.2, 0.0, 1.0)
+    assert driver.step(hall(0.4), GOAL, (0.0, 0.0, 0.0), intrinsics=CAMERA, camera_pitch=0.4) == (0.0, 0.0)
+    assert "the camera is not as it was said: camera_pitch=0.6" in driver.stop_reason
+
+
 @pytest.mark.parametrize(
     "depth", [hall(pitch=0.09), hall(roll=-0.09), hall() * 0.8, hall() * 1.2, hall(0.06, 0.06) * 1.1]
 )
