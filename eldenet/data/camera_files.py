@@ -16,7 +16,7 @@ _MATRICES = ("intrinsic_matrix", "intrinsics", "camera_matrix", "K", "cam_K")
 _NUMBERS = (("fx", "fl_x"), ("fy", "fl_y"), ("cx",), ("cy",))
 _BENT = ("distortion_coefficients", "distortion", "D")  # of ROS and OpenCV; others name each one
 _BENDS = ("k1", "k2", "p1", "p2", "k3", "k4")  # in OpenCV's order
-_STRAIGHT = 0.02  # coefficients up to this move a corner by about a hundredth of the picture
+_STRAIGHT = 0.02  # coefficients up to this move a corner by less than a hundredth of the picture
 _SIDES = (("height", "h", "image_height"), ("width", "w", "image_width"))
 
 
