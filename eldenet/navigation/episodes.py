@@ -238,14 +238,15 @@ class Episodes:
         slots = range(self.count)
         scans = [self.observations[slot] for slot in slots]
         ranges = np.stack([scan.ranges for scan in scans])
-        cautious = [scan.cautious for scan in scans if scan.cautious is not None]
+        told = any(scan.cautious is not None for scan in scans)  # by some alone: others see no unknown column
+        cautious = [scan.ranges if scan.cautious is None else scan.cautious for scan in scans]
         odometry = np.array([self._odometry[slot].pose for slot in slots])
         if self.settings.goal == "fixes":
             odometry = np.array([self._localizers[slot].odometry for slot in slots])
             goals = np.array([self._localizers[slot].towards(*self.goal(slot)) for slot in slots])
         else:
             goals = self._goals_from(odometry if self.settings.goal == "odometry" else self.poses)
-        return Senses(ranges, odometry, goals, np.stack(cautious) if cautious else None)
+        return Senses(ranges, odometry, goals, np.stack(cautious) if told else None)
 
     def sense(self, slots: Sequence[int] | None = None) -> Senses:
         """Scan in all slots, or in some of them, and return the senses of all."""

@@ -44,6 +44,18 @@ def test_a_wall_that_fills_the_view_is_never_missed():
         assert (without_missed(wall, errors, np.random.default_rng()) == wall).all()
 
 
+def test_one_robot_may_see_all_columns_while_another_does_not() -> None:
+    """A camera that looks far down knows its outer columns only where something stands close by."""
+    episodes = Episodes(3, camera(pitch=28.0), EpisodeSettings())
+    for slot, start in enumerate([(9.0, 0.0, 0.0), (0.0, 0.0, 0.0), (9.0, 0.0, 0.0)]):
+        episodes.start(slot, empty(start), (0, slot))
+    senses = episodes.sense()
+    assert senses.cautious.shape == senses.ranges.shape
+    assert (senses.cautious[[0, 2]] == senses.ranges[[0, 2]]).all()
+    assert (senses.ranges[[0, 2]] < 1.5).all()
+    assert 0 < (senses.cautious[1] == 0).sum() < 10
+
+
 def intrinsics_of(width: int, view: float) -> np.ndarray:
     """Of a camera with a horizontal field of view [rad]."""
     focal = width / 2 / math.tan(view / 2)
