@@ -89,17 +89,22 @@ def depth_to_ranges(
         depth = _standing_on_the_floor(depth, known, down, camera_height, heights[0])
     above_floor = camera_height - down * depth
     # what is too close or may hide something counts at any height: the camera may be above the robot
-    counts = (depth == 0) | ((above_floor > heights[0]) & (above_floor < heights[1]))
+    counts = (depth == 0) | _touches(above_floor, heights)
     away = depth if low is None else np.minimum(low, depth)
     ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
     rows = _rows_at(down[:, width // 2] if any(tilt) else down[:, 0], camera_height, robot, heights)
-    reaches = _reaches(down, camera_height, robot, heights)
+    shows = [
+        (at, np.broadcast_to(_touches(camera_height - down * at, heights), ranges.shape))
+        for at in (LEAST_REACH, robot.far)
+    ]
     ahead = np.abs(robot.column_angles) < min(math.radians(LEAST_VIEW), robot.field_of_view) / 2
     out = np.full(robot.columns, robot.far)
     for number in range(robot.columns):
         here = column == number
         pixels = ranges[here] if any(tilt) else ranges[:, here]
-        if not pixels.size or not (reaches[here] if any(tilt) else reaches).any():
+        outliers = OUTLIERS * (pixels.size / height)  # of each row that a surface would fill
+        seen = [(at, shown[here] if any(tilt) else shown[:, here]) for at, shown in shows]
+        if not any(shown.sum() > outliers * np.interp(at, *rows) for at, shown in seen):
             out[number] = np.nan
             if ahead[number]:
                 raise ValueError(
@@ -109,19 +114,15 @@ def depth_to_ranges(
                 )
         values = np.sort(pixels[np.isfinite(pixels)])
         first = int(QUANTILE * values.size)
-        needed = OUTLIERS * (pixels.size / height) * np.interp(values[first:], *rows)
+        needed = outliers * np.interp(values[first:], *rows)
         enough = np.flatnonzero(np.arange(first, values.size) + 1 > needed)
         if enough.size:
             out[number] = values[first + enough[0]]
     return np.clip(out, robot.near, robot.far)
 
 
-def _reaches(
-    down: np.ndarray, camera_height: float, robot: Robot, heights: tuple[float, float]
-) -> np.ndarray:
-    """Which pixels, of the shape of ``down``, see heights that can touch the robot far ahead."""
-    above = [camera_height - down * depth for depth in (LEAST_REACH, robot.far)]
-    return np.any([(at > heights[0]) & (at < heights[1]) for at in above], axis=0)
+def _touches(above_floor: np.ndarray, heights: tuple[float, float]) -> np.ndarray:
+    return (above_floor > heights[0]) & (above_floor < heights[1])
 
 
 def _rows_at(
@@ -133,7 +134,7 @@ def _rows_at(
     """
     depths = np.geomspace(robot.near, robot.far, 20)
     above = camera_height - down * depths[:, None]
-    seen = ((above > heights[0]) & (above < heights[1])).sum(axis=1)
+    seen = _touches(above, heights).sum(axis=1)
     return np.array([0.0, *depths]), np.array([len(down), *seen])
 
 

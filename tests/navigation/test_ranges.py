@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from eldenet.geometry import level_rotation
 from eldenet.navigation.on_robot import as_ranges
 from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
 from eldenet.simulation.arena_view import ArenaView
@@ -172,6 +173,28 @@ def test_a_tilted_camera_calls_no_column_free_in_which_it_sees_the_floor_close_b
     assert 30 <= shown.sum() < 40
     assert (np.isnan(ranges) | shown).all()
     assert (ranges == ROBOT.far).sum() >= shown.sum() - 2  # less than a pixel of a column may show it
+
+
+@pytest.mark.parametrize(
+    ("fov", "size", "camera_height", "pitch", "roll"),
+    [
+        (60, (90, 160), 0.3, 0.19, 0.0), (60, (90, 160), 1.25, 0.42, 0.0), (55, (160, 120), 0.3, 0.4, -0.1),
+        (55, (96, 128), 1.5, 0.38, 0.05), (69.4, (96, 128), 0.4, 0.4, 0.0),
+    ],
+)  # fmt: skip
+def test_no_column_is_free_that_shows_too_little_of_a_wall_for_an_obstacle(
+    fov: float, size: tuple[int, int], camera_height: float, pitch: float, roll: float
+) -> None:
+    """A wall 3 m ahead, right across the picture; outer columns show a few pixels of it."""
+    height, width = size
+    focal = width / 2 / math.tan(math.radians(fov / 2))
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height), [1.0])).reshape(3, -1)
+    intrinsics = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    _, down, ahead = level_rotation(pitch, roll) @ np.linalg.inv(intrinsics) @ pixels
+    depth = np.minimum(3.0 / ahead, camera_height / np.maximum(down, 1e-6)).reshape(size)
+    ranges = depth_to_ranges(depth, intrinsics, camera_height=camera_height, tilt=(pitch, roll))
+    assert np.isfinite(ranges).sum() >= 28
+    assert np.nanmax(ranges) < 3.0 / math.cos(ROBOT.field_of_view / 2) + 0.1
 
 
 def test_a_camera_that_shows_nothing_ahead_is_refused() -> None:
