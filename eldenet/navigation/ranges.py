@@ -97,7 +97,8 @@ def depth_to_ranges(
         (at, np.broadcast_to(_touches(camera_height - down * at, heights), ranges.shape))
         for at in (LEAST_REACH, robot.far)
     ]
-    ahead = np.abs(robot.column_angles) < min(math.radians(LEAST_VIEW), robot.field_of_view) / 2
+    least = min(math.radians(LEAST_VIEW), robot.field_of_view) / 2
+    ahead = np.abs(robot.column_angles) < least
     out = np.full(robot.columns, robot.far)
     for number in range(robot.columns):
         here = column == number
@@ -109,8 +110,9 @@ def depth_to_ranges(
             if ahead[number]:
                 raise ValueError(
                     f"a camera {camera_height:g} m high with camera_pitch={tilt[0]:g} and camera_roll="
-                    f"{tilt[1]:g} does not show what stands {LEAST_REACH:g} m ahead: tilt it less, or give "
-                    "the whole picture"
+                    f"{tilt[1]:g} does not show what stands {LEAST_REACH:g} m ahead, {heights[0]:g} to "
+                    f"{heights[1]:g} m above the floor, up to {math.degrees(least):.1f} degrees to each side"
+                    ": mount it so that it does, or give the whole picture"
                 )
         values = np.sort(pixels[np.isfinite(pixels)])
         first = int(QUANTILE * values.size)

@@ -197,11 +197,21 @@ def test_no_column_is_free_that_shows_too_little_of_a_wall_for_an_obstacle(
     assert np.nanmax(ranges) < 3.0 / math.cos(ROBOT.field_of_view / 2) + 0.1
 
 
-def test_a_camera_that_shows_nothing_ahead_is_refused() -> None:
-    level = np.full((360, 640), np.inf)
-    for pitch in (0.5, -0.5):
-        with pytest.raises(ValueError, match=rf"camera_pitch={pitch} .* what stands 3 m ahead: tilt it less"):
-            depth_to_ranges(level, (457, 457, 319.5, 179.5), tilt=(pitch, 0.0))
+@pytest.mark.parametrize(
+    ("camera_height", "pitch", "roll"),
+    [(0.4, 0.5, 0.0), (0.4, -0.5, 0.0), (0.4, 0.36, 0.3), (2.5, 0.0, 0.0)],  # the last: over all that stands
+)
+def test_a_camera_that_does_not_show_all_that_stands_ahead_is_refused(
+    camera_height: float, pitch: float, roll: float
+) -> None:
+    said = (
+        rf"^a camera {camera_height} m high with camera_pitch={pitch:g} and camera_roll={roll:g} does not "
+        r"show what stands 3 m ahead, 0\.15 to 0\.6 m above the floor, up to 25\.0 degrees to each side: "
+        r"mount it so that it does, or give the whole picture$"
+    )
+    level, intrinsics = np.full((360, 640), np.inf), (457, 457, 319.5, 179.5 if camera_height < 1 else 300.0)
+    with pytest.raises(ValueError, match=said):
+        depth_to_ranges(level, intrinsics, camera_height=camera_height, tilt=(pitch, roll))
 
 
 def test_a_far_low_object_still_has_enough_pixels():
