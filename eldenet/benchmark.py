@@ -138,7 +138,7 @@ def benchmark(s: BenchmarkSettings) -> list[dict[str, Any]]:
     machine_now, command = machine()
 
     def is_alike(row: Mapping[str, Any]) -> bool:
-        return measured_alike(row, s, prints.get(row["model"]))
+        return measured_alike(row, s, prints)
 
     def counts(row: Mapping[str, Any]) -> bool:
         return is_alike(row) and not other_machine(row, machine_now)
@@ -202,16 +202,27 @@ def measured(
     )
     for case, row in zip(group, rows, strict=True):
         row |= {"key": list(case.key), "fingerprint": prints[case.model], "calibrated": s.calibrated}
-        row |= {"reference": s.reference, "rounds": s.rounds, "seconds": s.seconds}
+        row |= {"reference": s.reference, "rounds": s.rounds, "seconds": s.seconds, "memory": s.memory}
+        row["ratio_to"] = ratio_to(s, prints)
     return rows
 
 
-def measured_alike(row: Mapping[str, Any], s: BenchmarkSettings, fingerprint: str | None) -> bool:
-    """Return whether a stored row has the weights, reference, rounds and seconds that are asked for."""
+def measured_alike(row: Mapping[str, Any], s: BenchmarkSettings, prints: Mapping[str, str]) -> bool:
+    """Return whether a stored row has the weights, reference, rounds, seconds and columns asked for."""
     if row.get("precision") == "int8" and row.get("calibrated") != s.calibrated:
         return False
-    asked = (fingerprint, s.reference, s.rounds, s.seconds)
+    if s.memory and not row.get("memory"):
+        return False
+    to = ratio_to(s, prints)
+    if to is not None and row.get("ratio_to") != to:
+        return False
+    asked = (prints.get(row["model"]), s.reference, s.rounds, s.seconds)
     return tuple(row.get(name) for name in ("fingerprint", "reference", "rounds", "seconds")) == asked
+
+
+def ratio_to(s: BenchmarkSettings, prints: Mapping[str, str]) -> str | None:
+    """Digest of the network that ``ratio_latency`` refers to; None: no such row is asked for."""
+    return prints.get(s.reference) if "fp32" in listed(s.precisions) else None
 
 
 def study_models(s: BenchmarkSettings) -> Networks:

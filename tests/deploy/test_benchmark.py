@@ -151,6 +151,36 @@ def test_rows_of_other_settings_do_not_count(tmp_path: Path, capsys: pytest.Capt
     assert "is not among the models: no ratio_latency" in capsys.readouterr().out
 
 
+def test_a_row_without_memory_is_measured_again_where_memory_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measure, "memory_of", lambda *_: 7.0)
+    words = ("runtimes=[torch]", "precisions=[fp32]")
+    run(tmp_path, *words)
+    (row,) = run(tmp_path, *words, "memory=true")
+    assert row["peak_memory_mb"] == 7.0
+    assert run(tmp_path, *words) == [row]
+
+
+def test_a_ratio_is_to_the_reference_of_its_table(tmp_path: Path) -> None:
+    first, second = named(tmp_path / "a", 0.01), named(tmp_path / "b", 0.02)
+    words = ("runtimes=[torch]", "precisions=[fp32]", "reference=mine")
+    table = tmp_path / "table"
+    reference, alone = (row["fingerprint"] for row in run(table, f"models=['{first}',eldenet_s]", *words))
+    for source in (first, second):
+        rows = run(table, f"models=['{source}',eldenet_s]", *words)
+        assert [row["ratio_to"] for row in rows] == [rows[0]["fingerprint"]] * 2
+    assert rows[0]["fingerprint"] != reference
+    assert rows[1]["fingerprint"] == alone
+    # a table without the reference, then one with it
+    words = ("runtimes=[torch]", "precisions=[fp32]", f"reference={DEFAULT_REFERENCE}")
+    assert run(table, "models=[eldenet_s]", *words)[0]["ratio_latency"] is None
+    assert all(row["ratio_latency"] for row in run(table, f"models=[eldenet_s,{DEFAULT_REFERENCE}]", *words))
+    # of other precisions alone, then with the reference's
+    assert run(table, "precisions=[bf16]", "runtimes=[torch]")[0]["ratio_latency"] is None
+    assert all(row["ratio_latency"] for row in run(table, "precisions=[bf16,fp32]", "runtimes=[torch]"))
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
