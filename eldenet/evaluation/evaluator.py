@@ -169,7 +169,9 @@ def evaluate_batches(
                 valid = protocol.valid_mask(depth, mask)
                 aligned = protocol.align(prediction.float(), depth, valid)
                 spread = protocol.resize_to_gt(spread.float(), depth.shape[-2:])
-                meter.update(batch["name"], aligned, depth, spread, valid)
+                # the spread of ln depth is that of the logarithm of its inverse too
+                compared = protocol.to_metric_space(aligned, depth)
+                meter.update(batch["name"], *compared, spread, valid)
             labels = batch["labels"].to(device) if "labels" in batch else None
             metrics.update(prediction, depth, mask, labels)
             values = metrics.rows.cpu().tolist()

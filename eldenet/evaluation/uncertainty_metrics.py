@@ -58,8 +58,8 @@ def score_image(
 ) -> ImageUncertainty:
     """Measure one image by the pixels that count, ``(N,)`` each.
 
-    ``depth`` is predicted and ``truth`` known [m]; ``spread`` is the predicted standard deviation of ln
-    depth, of a "laplace" or "gaussian" ``distribution``.
+    ``depth`` is predicted and ``truth`` known [m], or both are inverse depth, as the metrics compare them;
+    ``spread`` is the predicted standard deviation of ln depth, of a "laplace" or "gaussian" ``distribution``.
     """
     depth, truth, spread = (values.astype(np.float64) for values in (depth, truth, spread))
     error, log_error = np.abs(depth - truth), np.abs(np.log(truth / depth))

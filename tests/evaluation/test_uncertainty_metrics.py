@@ -12,7 +12,9 @@ from support.scoring import score_small
 
 from eldenet.compose import compose
 from eldenet.evaluation.calibration import fit_temperature
+from eldenet.evaluation.evaluator import evaluate_batches
 from eldenet.evaluation.metric_names import UNCERTAINTY_METRICS, in_range
+from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.evaluation.uncertainty_metrics import (
     PROTOCOL,
     RELIABILITY_LEVELS,
@@ -128,7 +130,6 @@ class Constant(torch.nn.Module):
 @pytest.mark.parametrize("distribution", ["laplace", "gaussian"])
 def test_the_temperature_corrects_a_sigma_that_is_too_small(distribution: str, monkeypatch) -> None:
     from eldenet.evaluation import calibration
-    from eldenet.evaluation.protocol import EvalProtocol
 
     rng = np.random.default_rng(2)
     draw = (
@@ -152,6 +153,27 @@ def test_the_temperature_corrects_a_sigma_that_is_too_small(distribution: str, m
     batch["mask"].zero_()
     with pytest.raises(ValueError, match="no pixel of 8 frames has a known depth that protocol p counts"):
         fit_temperature(model, frames, protocol)
+
+
+def test_measures_compare_the_inverse_depth_where_the_metrics_do() -> None:
+    model = Constant("laplace")
+    model.distribution = "laplace"
+    depth = torch.ones(1, 1, 60, 80)  # the network sees 2 m everywhere: half of the inverse depth
+    batch = {
+        "name": ["a"],
+        "image": torch.zeros(1, 3, 60, 80),
+        "depth": depth,
+        "mask": torch.ones_like(depth, dtype=torch.bool),
+        "intrinsics": torch.zeros(1, 3, 3),
+    }
+    loader = MagicMock()
+    loader.__iter__.return_value = iter([[batch]])
+    loader.dataset = MagicMock(ground_truth="raw", class_names=(), stretch=None)
+    protocol = EvalProtocol("p", max_depth=100.0, ground_truth="raw", inverse_scale=3.0)
+    found = evaluate_batches(model, loader, protocol).metrics
+    assert found["abs_rel"] == pytest.approx(0.5)
+    assert found["abs_rel_sure80"] == pytest.approx(0.5)
+    assert found["nll"] == pytest.approx(math.log(2) / 0.1 * math.sqrt(2) + math.log(math.sqrt(2) * 0.1))
 
 
 def test_a_run_folder_shows_the_measures(tmp_path, monkeypatch) -> None:
