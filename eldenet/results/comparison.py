@@ -258,6 +258,14 @@ def refuse_mixtures(runs: Sequence[Mapping[str, Any]], *, costs: bool) -> None:
                     f"({some_of(found, 3)}). Report them separately"
                     + (", or without costs (costs=false)" if of_cost else "")
                 )
+    counts = [run["metrics"].get("pixels") for run in runs]
+    for run, count in zip(runs, counts, strict=True):
+        if count != counts[0]:
+            raise ValueError(
+                f"{_place(runs[0])} and {_place(run)} cannot be compared: they scored {counts[0]} and "
+                f"{count} pixels of frames of the same names, so their depth maps differ (data.root, "
+                "data.size, data.min_confidence, ...). Report them separately"
+            )
 
 
 def _place(run: Mapping[str, Any]) -> str:

@@ -88,6 +88,14 @@ def test_what_does_not_compare_is_refused(changes, word):
         assert "params ↓" not in titles
 
 
+def test_runs_on_other_depth_of_the_same_frames_are_refused():
+    runs = [run_with(model=name, metrics__pixels=count) for name, count in (("a", 900), ("b", 700))]
+    words = "^a and b cannot be compared: they scored 900 and 700 pixels of frames of the same names"
+    for costs in (True, False):
+        with pytest.raises(ValueError, match=words):
+            table_of(runs, COLUMNS, costs=costs)
+
+
 def test_the_same_seed_twice_is_refused():
     with pytest.raises(ValueError, match=r"seeds .* repeat"):
         table_of([RUN, RUN], COLUMNS)
