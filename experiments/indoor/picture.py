@@ -39,7 +39,7 @@ def main(source: str, output: str) -> None:
         scale = depth_scale(near, far, SIZE[1])
         rows.append(np.concatenate([panels[0], gap, panels[1], gap, panels[2], gap, scale], axis=1))
         print(f"{share:.0%} of the ranking: AbsRel {error:.3f}")
-    picture = stack_rows(rows)
+    picture = stack_rows(rows, ("photo", "depth by the HoloLens", f"depth by {source}"))
     cv2.imwrite(output, picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
