@@ -51,13 +51,13 @@ def test_facts_from_strangers_stay_text():
 
 
 def test_a_network_for_any_lens_is_shown_with_its_focal_length():
-    head = {"min_depth": 0.04, "max_depth": 20.0}
+    head = {"min_depth": 0.1 * 0.4, "max_depth": 20.0}  # 0.04000000000000001
     plain = model_card({}, {"head": head, "canonical_focal": None})
     assert "model(images)" in plain
-    assert "- depth: 0.04 to 20.0 m\n" in plain
+    assert "- depth: 0.04 to 20 m\n" in plain
     scaled = model_card({}, {"head": {"depth": head}, "canonical_focal": 0.8})  # and with sigma
     assert "model(images, focal)  # (B, 3, H, W) RGB in [0, 1], fx [px of images]" in scaled
-    assert "- depth: 0.04 to 20.0 canonical meters\n" in scaled
+    assert "- depth: 0.04 to 20 canonical meters\n" in scaled
 
 
 def test_a_card_of_ones_own_stays(tmp_path: Path):

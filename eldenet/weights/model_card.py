@@ -95,4 +95,5 @@ def _text(value: object) -> str:
 
 def _line(value: object) -> str:
     """A value as plain text on a line of Markdown."""
-    return re.sub(r"([\\`*<>|\[\]#])", r"\\\1", " ".join(str(value).split()))
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return re.sub(r"([\\`*<>|\[\]#])", r"\\\1", " ".join(text.split()))
