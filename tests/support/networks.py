@@ -20,10 +20,10 @@ def small_net(seed: int = 0, **options: Any) -> DepthNet:
     return DepthNet.from_parts(**options).eval()
 
 
-def light_net(seed: int = 0, **options: Any) -> DepthNet:
+def light_net() -> DepthNet:
     """One of few operations: a file of any size takes half as long as that of :func:`small_net`."""
     backbone, decoder = EfficientNetLite(blocks=[1, 1]), partial(FastUpConvDecoder, modules=2)
-    return small_net(seed, **{"backbone": backbone, "decoder": decoder} | options)
+    return small_net(backbone=backbone, decoder=decoder)
 
 
 def canonical_net(height: int, width: int) -> DepthNet:
