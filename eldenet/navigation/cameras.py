@@ -10,7 +10,14 @@ import numpy as np
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera, level_rotation
-from eldenet.navigation.ranges import CAUTION, MOST_TILTED, columns_of, depth_to_ranges, footprints_to_ranges
+from eldenet.navigation.ranges import (
+    CAUTION,
+    MOST_TILTED,
+    columns_of,
+    depth_to_ranges,
+    fill_unseen,
+    footprints_to_ranges,
+)
 from eldenet.navigation.sensors import FED_BY, Drift, Observation, SensorInstance, SimulatedSensor
 from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
@@ -134,9 +141,8 @@ class CameraInstance:
         if estimate.sigma is not None:
             low = estimate.interval(CAUTION)[0]
             cautious = depth_to_ranges(depth, self.view.intrinsics, tilt=tilt, low=low)
-        if (unseen := np.isnan(ranges)).any():  # unknown, as on a robot
-            cautious = np.where(unseen, 0.0, ranges if cautious is None else cautious)
-            ranges = np.where(unseen, ROBOT.far, ranges)
+        if np.isnan(ranges).any():
+            ranges, cautious = fill_unseen(ranges, ranges if cautious is None else cautious)
         fed_by = np.full(ROBOT.columns, FED_BY.index("depth"), np.intp)
         if sensor.lifter is None:
             return Observation(ranges, fed_by, frame, depth, cautious=cautious)

@@ -16,7 +16,7 @@ from eldenet.navigation.lidar import Scan, scan_to_ranges
 from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
-from eldenet.navigation.ranges import CAUTION, depth_to_ranges
+from eldenet.navigation.ranges import CAUTION, depth_to_ranges, fill_unseen
 from eldenet.navigation.watch import Look, Watch, absurd
 from eldenet.simulation.robot import ROBOT, front
 from eldenet.system.errors import warn_once
@@ -181,8 +181,7 @@ class OnRobot:
             return self._stand(f"the camera is not as it was said: {error}")  # by the leveler, in a drive
         if sigma is not None:
             low = as_ranges(depth, matrix, camera_height, tilt=tilt, low=nearest_depth(depth, sigma))
-        unseen = np.isnan(ranges)
-        ranges, cautious = np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, low)
+        ranges, cautious = fill_unseen(ranges, low)
         if self.watch is not None:
             look = Look(raw, front(ranges), now[0], image, camera, camera_height, latency)
             if (reason := self.watch.judge(look, self._sent)) is not None:

@@ -123,6 +123,12 @@ def depth_to_ranges(
     return np.clip(out, robot.near, robot.far)
 
 
+def fill_unseen(ranges: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return ranges and how near things may be ``(columns,)`` [m], far and 0 in columns that are nan."""
+    unseen = np.isnan(ranges)
+    return np.where(unseen, ROBOT.far, ranges), np.where(unseen, 0.0, low)
+
+
 def _touches(above_floor: np.ndarray, heights: tuple[float, float]) -> np.ndarray:
     return (above_floor > heights[0]) & (above_floor < heights[1])
 
