@@ -9,8 +9,8 @@ from tests.support.sources import PAGES, REPOSITORY, problems
 PAGE = """Text without figures.
 
 <!-- source: eldenet study study=experiments/table3_rivals
-table3_rivals/runs.jsonl.gz: eldenet
-table3_rivals/runs.jsonl.gz: meter_xs
+table3_rivals/runs.jsonl.xz: eldenet
+table3_rivals/runs.jsonl.xz: meter_xs
 -->
 
 | network | δ1 |
@@ -37,9 +37,9 @@ def test_a_figure_with_its_stored_value_passes() -> None:
         ("0.570", "0.571", "0.571 is not in"),
         ("0.004", "0.005", "0.005 is not in"),
         ("| METER-XS | 0.570", "| METER-XS | 0.554", "0.554 is not in"),  # the value of another row
-        ("table3_rivals/runs.jsonl.gz: meter_xs\n", "", "1 sources for 2 rows"),
+        ("table3_rivals/runs.jsonl.xz: meter_xs\n", "", "1 sources for 2 rows"),
         (": meter_xs", ": meter_xxl", "has no meter_xxl"),
-        ("runs.jsonl.gz: meter_xs", "nothing.csv: meter_xs", "no file"),
+        ("runs.jsonl.xz: meter_xs", "nothing.csv: meter_xs", "no file"),
         ("without figures", "with 92.1 %", "no source"),
     ],
 )

@@ -25,8 +25,8 @@ _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_\d{4}_sync")
 
 #: Frames whose names come with the package: a setting may name a list instead of a file.
 LISTS = {
-    file.name.removesuffix(".txt.gz"): file
-    for file in sorted((Path(__file__).parent / "kitti_lists").glob("*.txt.gz"))
+    file.name.removesuffix(".txt.xz"): file
+    for file in sorted((Path(__file__).parent / "kitti_lists").glob("*.txt.xz"))
 }
 
 DEPTH_TREE = """

@@ -120,7 +120,7 @@ def find_runs(
     Records of other commands (navigation) are skipped in folders.
 
     Args:
-        sources: ``run.json`` or ``runs.jsonl.gz`` files, and folders.
+        sources: ``run.json`` or ``runs.jsonl.xz`` files, and folders.
         needed: entries that every record must have, beside those of its metrics.
         names: for the runs below each of ``sources``, instead of their own.
 

@@ -1,4 +1,4 @@
-"""The runs of a study in one file, ``runs.jsonl.gz``: a line for each has its ``run.json`` and its images.
+"""The runs of a study in one file, ``runs.jsonl.xz``: a line for each has its ``run.json`` and its images.
 
 A run is named as its folder: ``eldenet/seed0``. Its line is ``run.json`` with two more entries: ``run``, the
 name, and ``per_image``, the columns of ``per_image.csv``. :func:`pack` adds a run folder.
@@ -14,14 +14,14 @@ from typing import Any
 from eldenet.results.run_record import RUN_FILE, read_record
 from eldenet.system.files import LOCK, parse_json, read_table, read_text, write_text
 
-RUNS = "runs.jsonl.gz"
+RUNS = "runs.jsonl.xz"
 NAME, IMAGES = "run", "per_image"
 DIGITS = 5  # of a metric of one image
 MOST = 1_000_000_000  # bytes of all runs
 
 
 def read_records(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the records of a ``.jsonl.gz`` file by their names; none without the file.
+    """Return the records of a ``.jsonl.xz`` file by their names; none without the file.
 
     Raises:
         ValueError: it is damaged.

@@ -1,8 +1,8 @@
 """Files that appear whole, and guarded readers of text, JSON, YAML and CSV."""
 
 import csv
-import gzip
 import json
+import lzma
 import math
 import os
 import platform
@@ -120,9 +120,9 @@ def write_bytes(path: Path, content: bytes | memoryview) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file (UTF-8), compressed where its name ends with ``.gz``; it appears whole."""
+    """Write a text file (UTF-8), compressed where its name ends with ``.xz``; it appears whole."""
     content = text.encode()
-    write_bytes(path, gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
+    write_bytes(path, lzma.compress(content) if path.suffix == ".xz" else content)
 
 
 def safe_stem(name: str) -> str:
@@ -181,7 +181,7 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read_text(path: Path, advice: str = AGAIN, most: int = MOST_TEXT) -> str:
-    """Return the text of a file (UTF-8), which is compressed where its name ends with ``.gz``.
+    """Return the text of a file (UTF-8), which is compressed where its name ends with ``.xz``.
 
     It may hold ``most`` bytes; ``advice`` says what to do if it is missing or no text.
 
@@ -192,7 +192,7 @@ def read_text(path: Path, advice: str = AGAIN, most: int = MOST_TEXT) -> str:
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist{' as a file' * path.exists()}: {advice}")
     with reading(path, "text file", advice):
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        with lzma.open(path) if path.suffix == ".xz" else path.open("rb") as file:
             content = file.read(most + 1)
         if len(content) > most:
             raise ValueError(f"it has more than the {most // 1_000_000} MB allowed")

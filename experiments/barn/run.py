@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
     worlds = read_barn(args.worlds_file)
-    rows = read(folder / "drives.csv.gz")
+    rows = read(folder / "drives.csv.xz")
     lists = args.speeds, args.views, args.sizes, args.methods
     for speed, view, size, method in product(*(given.split(",") for given in lists)):
         done = rows.setdefault((method, size, view, speed), [])
@@ -114,10 +114,10 @@ def line(key: tuple[str, ...], drives: Sequence[Episode], worlds: Sequence[BarnW
 
 
 def write(folder: Path, rows: Rows, worlds: Sequence[BarnWorld]) -> None:
-    """Write every drive to ``drives.csv.gz`` and the table to ``results.md``."""
+    """Write every drive to ``drives.csv.xz`` and the table to ``results.md``."""
     rows = {key: drives for key, drives in sorted(rows.items()) if drives}
     labeled = {(*key, VERSIONS[key[0]]): drives for key, drives in rows.items()}
-    write_episodes(folder / "drives.csv.gz", LABELS, labeled)
+    write_episodes(folder / "drives.csv.xz", LABELS, labeled)
     text = [
         "# BARN's public worlds",
         "",

@@ -28,16 +28,16 @@ from eldenet.deploy import runtimes  # noqa: E402
 from eldenet.deploy.predictor import DepthPredictor  # noqa: E402
 from eldenet.evaluation.bootstrap import mean_interval, scenes_of  # noqa: E402
 from eldenet.evaluation.protocol import EvalProtocol  # noqa: E402
-from eldenet.geometry import crop_intrinsics  # noqa: E402
 from eldenet.results.run_record import environment  # noqa: E402
 from eldenet.results.tables import to_markdown  # noqa: E402
 from eldenet.system.files import read_table, write_rows, write_text  # noqa: E402
+from eldenet.uncertainty import DepthEstimate, as_estimate  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from places import OTHER_CAMERAS, camera_frames, split_frames  # noqa: E402
 
 HERE = Path(__file__).parent
-STORED = HERE / "frames.csv.gz"
+STORED = HERE / "frames.csv.xz"
 ROOMS = ["data=rooms", "data.size=[192,256]", "data.frames.test=64", "data.detail=true"]
 #: Place -> settings of its frames and their split; the others are places of other cameras.
 SPLITS = {
@@ -51,36 +51,25 @@ SPLITS = {
 PLACES = (*SPLITS, *OTHER_CAMERAS)
 SHAPES = {"16:9": 16 / 9, "2:1": 2.0, "3:4": 3 / 4, "9:16": 9 / 16}  # width / height
 ZOOMS = {"1.25x": 1.25, "1.5x": 1.5, "2x": 2.0}
-VIEWS = ("whole", *SHAPES, *ZOOMS)
 BINS = ((0.2, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 10.0))  # true depth [m]
 NEAR = tuple(f"abs_rel_{low:g}_{high:g}" for low, high in BINS)
-FIGURES = (
-    "delta1",
-    "whole_delta1",
-    "abs_rel",
-    "delta1_aligned",
-    "median_truth",
-    "median_depth",
-    "inside80",
-    *NEAR,
-)
-OF_VIEWS = FIGURES[:2]  # the others are those of whole frames alone
 WHOLE = ("delta1", "abs_rel", "delta1_aligned")  # in the table of whole frames
-COLUMNS = ("weights", "runtime", "place", "frame", "view", *FIGURES)
+FIGURES = (*WHOLE, "median_truth", "median_depth", "inside80", *NEAR)  # of a whole frame
+#: Of each part: delta1 of its own depth, and of the whole frame's on the same pixels.
+OF_PARTS = [f"{figure}_{part}" for part in (*SHAPES, *ZOOMS) for figure in ("delta1", "whole_delta1")]
+COLUMNS = ("weights", "runtime", "place", "frame", *FIGURES, *OF_PARTS)
 ENOUGH = 50  # pixels of a distance
 
 
-def part_of(size: tuple[int, int], view: str) -> tuple[slice, slice]:
-    """Rows and columns of a frame of ``(height, width)`` that a view shows: the middle of it."""
+def part_of(size: tuple[int, int], part: str) -> tuple[slice, slice]:
+    """Rows and columns of the middle of a frame of ``(height, width)`` that a shape or a lens shows."""
     height, width = size
-    if view in ZOOMS:
-        seen = round(height / ZOOMS[view]), round(width / ZOOMS[view])
-    elif view in SHAPES:
-        seen = min(height, round(width / SHAPES[view])), min(width, round(height * SHAPES[view]))
+    if part in ZOOMS:
+        seen = round(height / ZOOMS[part]), round(width / ZOOMS[part])
     else:
-        seen = size
-    starts = [(side - part) // 2 for side, part in zip(size, seen, strict=True)]
-    return tuple(slice(start, start + part) for start, part in zip(starts, seen, strict=True))
+        seen = min(height, round(width / SHAPES[part])), min(width, round(height * SHAPES[part]))
+    starts = [(side - length) // 2 for side, length in zip(size, seen, strict=True)]
+    return tuple(slice(start, start + length) for start, length in zip(starts, seen, strict=True))
 
 
 def share_right(depth: np.ndarray, truth: np.ndarray) -> float:
@@ -88,12 +77,10 @@ def share_right(depth: np.ndarray, truth: np.ndarray) -> float:
     return float((np.maximum(depth / truth, truth / depth) < 1.25).mean())
 
 
-def figures(
-    found, truth: np.ndarray, whole: np.ndarray, known: np.ndarray, protocol: EvalProtocol
-) -> list[float]:
-    """``FIGURES`` of one view from its estimate, and the true and the whole frame's depth on its pixels."""
+def figures(found, truth: np.ndarray, known: np.ndarray, protocol: EvalProtocol) -> list[float]:
+    """``FIGURES`` of a whole frame from its estimate and its true depth [m]."""
     truth = truth[known]
-    depth, beside = (one[known].clip(protocol.min_depth, protocol.max_depth) for one in (found.depth, whole))
+    depth = found.depth[known].clip(protocol.min_depth, protocol.max_depth)
     aligned = depth * np.median(truth) / np.median(depth)
     relative = np.abs(depth - truth) / truth
     inside = math.nan
@@ -103,7 +90,6 @@ def figures(
     near = [relative[(truth >= low) & (truth < high)] for low, high in BINS]
     return [
         share_right(depth, truth),
-        share_right(beside, truth),
         float(relative.mean()),
         share_right(aligned, truth),
         float(np.median(truth)),
@@ -119,31 +105,34 @@ def focal_for(predictor: DepthPredictor, focal: float, size: Sequence[int], expo
     return focal * min(1.0, ratio ** (exponent - 1))
 
 
+def predict(predictor: DepthPredictor, image: np.ndarray, focal: float, exponent: float) -> DepthEstimate:
+    """The estimate of a picture, which a network that knows no focal lengths is not told."""
+    known = focal_for(predictor, focal, image.shape, exponent) if predictor.canonical_px else None
+    return as_estimate(predictor(image, focal=known))
+
+
 def score(name: str, predictor: DepthPredictor, place: str, exponent: float) -> Iterator[list[object]]:
-    """Rows of a network's views of a place; one that knows no focal lengths is given none."""
+    """Rows of a network's frames of a place."""
     protocol, frames = split_frames(*SPLITS[place]) if place in SPLITS else camera_frames(place)
     runtime = getattr(predictor.model, "runtime", "torch")
     for image, depth, intrinsics, frame, *_ in frames:
         truth, mask = (torch.from_numpy(values)[None, None] for values in (depth, depth > 0))
         known = protocol.valid_mask(truth, mask)[0, 0].numpy()
-        whole = None
-        for view in VIEWS:
-            box = part_of(depth.shape, view)
-            if known[box].sum() < ENOUGH:
+        if known.sum() < ENOUGH:
+            continue
+        found = predict(predictor, image, intrinsics[0, 0], exponent)
+        values = figures(found, depth, known, protocol)
+        for part in (*SHAPES, *ZOOMS):
+            box = part_of(depth.shape, part)
+            seen = known[box]
+            if seen.sum() < ENOUGH:
+                values += [math.nan, math.nan]
                 continue
-            part = crop_intrinsics(intrinsics, box[0].start, box[1].start)
-            picture = np.ascontiguousarray(image[box])
-            focal = None
-            if predictor.canonical_px:
-                focal = focal_for(predictor, part[0, 0], picture.shape, exponent)
-            found = eldenet.uncertainty.as_estimate(predictor(picture, focal=focal))
-            whole = found.depth if whole is None else whole
-            values = [
-                f"{value:.4g}" for value in figures(found, depth[box], whole[box], known[box], protocol)
-            ]
-            if view != "whole":
-                values[len(OF_VIEWS) :] = [""] * (len(FIGURES) - len(OF_VIEWS))
-            yield [name, runtime, place, frame, view, *values]
+            own = predict(predictor, np.ascontiguousarray(image[box]), intrinsics[0, 0], exponent).depth
+            for one in (own, found.depth[box]):
+                limited = one[seen].clip(protocol.min_depth, protocol.max_depth)
+                values.append(share_right(limited, depth[box][seen]))
+        yield [name, runtime, place, frame, *(f"{value:.4g}" for value in values)]
 
 
 def predictor_of(source: str, runtime: str) -> DepthPredictor:
@@ -169,19 +158,21 @@ def mean(rows: Sequence[dict[str, str]], figure: str) -> str:
     return f"{np.nanmean(values):.3f}" if np.isfinite(values).any() else ""
 
 
-def change(rows: Sequence[dict[str, str]]) -> str:
-    """delta1 of views, and how far it lies from the whole frame's on the same pixels, with its interval."""
-    values = np.array([float(row["delta1"]) - float(row["whole_delta1"]) for row in rows])
+def change(rows: Sequence[dict[str, str]], part: str) -> str:
+    """delta1 of parts, and how far it lies from the whole frame's on the same pixels, with its interval."""
+    rows = [row for row in rows if math.isfinite(float(row[f"delta1_{part}"]))]
+    if not rows:
+        return ""
+    values = np.array([float(row[f"delta1_{part}"]) - float(row[f"whole_delta1_{part}"]) for row in rows])
     low, high = mean_interval(values, scenes_of([row["frame"] for row in rows]))
-    return f"{mean(rows, 'delta1')} ({values.mean():+.3f} [{low:+.3f}, {high:+.3f}])"
+    return f"{mean(rows, f'delta1_{part}')} ({values.mean():+.3f} [{low:+.3f}, {high:+.3f}])"
 
 
 def report(stored: Sequence[dict[str, str]]) -> None:
     """Write ``results.md``."""
-    groups: dict[tuple[str, str, str], dict[str, list[dict[str, str]]]] = {}
+    groups: dict[tuple[str, str, str], list[dict[str, str]]] = {}
     for row in stored:
-        key = (row["place"], row["weights"], row["runtime"])
-        groups.setdefault(key, {}).setdefault(row["view"], []).append(row)
+        groups.setdefault((row["place"], row["weights"], row["runtime"]), []).append(row)
     text = ["# bench\n"]
     heads = {
         "Whole frames": ["frames", "δ1", "AbsRel", "δ1, aligned", "log slope", "back", "inside 80 %"],
@@ -191,15 +182,15 @@ def report(stored: Sequence[dict[str, str]]) -> None:
     }
     for number, (title, columns) in enumerate(heads.items()):
         lines = []
-        for key, views in sorted(groups.items(), key=lambda item: (PLACES.index(item[0][0]), item[0])):
-            whole = views["whole"]
+        for key, rows in sorted(groups.items(), key=lambda item: (PLACES.index(item[0][0]), item[0])):
             cells = [
-                [len(whole), *(mean(whole, name) for name in WHOLE), *log_slopes(whole)],
-                [mean(whole, name) for name in NEAR],
-                [change(views[view]) for view in SHAPES if view in views],
-                [change(views[view]) for view in ZOOMS if view in views],
+                [len(rows), *(mean(rows, name) for name in WHOLE), *log_slopes(rows), mean(rows, "inside80")],
+                [mean(rows, name) for name in NEAR],
+                [change(rows, part) for part in SHAPES],
+                [change(rows, part) for part in ZOOMS],
             ][number]
-            lines.append([*key, *map(str, cells), *([mean(whole, "inside80")] if number == 0 else [])])
+            if any(cells):
+                lines.append([*key, *map(str, cells)])
         text.append(f"## {title}\n\n{to_markdown(['place', 'weights', 'runtime', *columns], lines, [])}")
     facts = environment()
     machine = f"{facts['hardware']['processor']}, 1 thread, torch {facts['versions']['torch']}"
@@ -239,12 +230,7 @@ def main() -> None:
                 row for row in stored if (row["weights"], row["runtime"], row["place"]) not in new
             ] + rows
             write_rows(STORED, COLUMNS, [[row[column] for column in COLUMNS] for row in stored])
-            print(
-                name or source,
-                place,
-                mean([row for row in rows if row["view"] == "whole"], "delta1"),
-                flush=True,
-            )
+            print(name or source, place, mean(rows, "delta1"), flush=True)
     report(stored)
 
 

@@ -1,7 +1,7 @@
 """Scores weights that saw no real frame on NYU's frames, and compares them frame by frame.
 
 ``python experiments/renders/score.py dev today=runs/today detail=runs/detail`` measures these run folders on
-the frames of split ``dev``, puts them into ``frames.csv.gz`` and prints the table of all that it holds.
+the frames of split ``dev``, puts them into ``frames.csv.xz`` and prints the table of all that it holds.
 ``val`` are the 130 frames of other scenes, for the end. ``score.py paired val detail today`` prints the
 differences of two of them, with 95 % bootstrap intervals over scenes.
 """
@@ -22,7 +22,7 @@ from eldenet.results.tables import to_markdown
 from eldenet.system.files import read_table, write_rows
 from eldenet.train import TrainSettings
 
-FRAMES = Path(__file__).with_name("frames.csv.gz")
+FRAMES = Path(__file__).with_name("frames.csv.xz")
 METRICS = ("delta1", "abs_rel", "delta1_median_aligned", "abs_rel_median_aligned")
 COLUMNS = ("weights", "split", "name", *METRICS)
 

@@ -1,7 +1,7 @@
 """What each source of pictures gives with other cameras, frame by frame, with intervals.
 
 ``python experiments/sources/cameras.py runs/sources`` scores every run there on the places of
-``$ELDENET_DATA/other_cameras``, writes ``cameras.csv.gz`` and prints the table in Markdown.
+``$ELDENET_DATA/other_cameras``, writes ``cameras.csv.xz`` and prints the table in Markdown.
 """
 
 import sys
@@ -21,7 +21,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "indoor"))
 from other_cameras import ASPECTS, frames_of  # noqa: E402
 
-STORED = HERE / "cameras.csv.gz"
+STORED = HERE / "cameras.csv.xz"
 COLUMNS = ("row", "seed", "place", "frame", "delta1", "delta1_median_aligned")
 REFERENCE = "all"
 

@@ -147,7 +147,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser.add_argument("--conditions", default=";".join(CONDITIONS), help="separated by semicolons")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    stored = read(folder / "conditions.csv.gz")
+    stored = read(folder / "conditions.csv.xz")
     for name in args.conditions.split(";"):
         condition = CONDITIONS[name]
         count = condition.first + args.worlds
@@ -187,7 +187,7 @@ def read(file: Path) -> Rows:
 
 
 def write(folder: Path, rows: Rows) -> None:
-    """Write every episode to ``conditions.csv.gz`` and the table to ``conditions.md``."""
+    """Write every episode to ``conditions.csv.xz`` and the table to ``conditions.md``."""
     made = {
         (method, name): rows[method, name]
         for name in CONDITIONS
@@ -195,7 +195,7 @@ def write(folder: Path, rows: Rows) -> None:
         if rows.get((method, name))
     }
     labeled = {(*key, made_with(*key)): episodes for key, episodes in made.items()}
-    write_episodes(folder / "conditions.csv.gz", LABELS, labeled)
+    write_episodes(folder / "conditions.csv.xz", LABELS, labeled)
     text = [
         "# Rooms, traps, delay, wrong distances and other robots",
         "",

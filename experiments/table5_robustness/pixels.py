@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser.add_argument("--conditions", default=";".join(CONDITIONS), help="separated by semicolons")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    stored = read(folder / "pixels.csv.gz")
+    stored = read(folder / "pixels.csv.xz")
     for name in args.conditions.split(";"):
         condition = CONDITIONS[name]
         arenas = frozen_arenas(condition.density, args.worlds, pedestrians=condition.pedestrians)
@@ -156,10 +156,10 @@ def read(file: Path) -> Rows:
 
 
 def write(folder: Path, rows: Rows) -> None:
-    """Write every episode to ``pixels.csv.gz`` and the table to ``pixels.md``."""
+    """Write every episode to ``pixels.csv.xz`` and the table to ``pixels.md``."""
     order = sorted(rows, key=lambda key: (list(CONDITIONS).index(key[0]), SENSORS.index(key[1]), key[2]))
     made = {key: rows[key] for key in order if rows[key]}
-    write_episodes(folder / "pixels.csv.gz", LABELS, made)
+    write_episodes(folder / "pixels.csv.xz", LABELS, made)
     text = [
         "# Driving by pixels",
         "",
@@ -174,7 +174,7 @@ def write(folder: Path, rows: Rows) -> None:
         *(line_of(key, made) for key in made),
         "",
         "Made by `python experiments/table5_robustness/pixels.py --detector "
-        "runs/detector-arenas/detector.onnx`. `pixels.csv.gz` has the first digits of the SHA-256 of the "
+        "runs/detector-arenas/detector.onnx`. `pixels.csv.xz` has the first digits of the SHA-256 of the "
         "depth network and of the detector.",
     ]
     (folder / "pixels.md").write_text("\n".join(text) + "\n")

@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     )
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    stored = read(folder / "results.csv.gz")
+    stored = read(folder / "results.csv.xz")
     arenas = frozen_arenas(DENSITY, args.worlds)
     for faults in args.faults.split(","):
         for method in args.methods.split(";"):
@@ -89,7 +89,7 @@ def read(file: Path) -> Rows:
 
 
 def write(folder: Path, rows: Rows) -> None:
-    """Write every episode to ``results.csv.gz`` and the table to ``results.md``."""
+    """Write every episode to ``results.csv.xz`` and the table to ``results.md``."""
     order = {
         (method, faults, filtered): number
         for number, (method, faults, filtered) in enumerate(
@@ -98,7 +98,7 @@ def write(folder: Path, rows: Rows) -> None:
     }
     made = {key: rows[key] for key in sorted(rows, key=order.__getitem__) if rows[key]}
     labeled = {(*key, version(key[0], key[2])): episodes for key, episodes in made.items()}
-    write_episodes(folder / "results.csv.gz", LABELS, labeled)
+    write_episodes(folder / "results.csv.xz", LABELS, labeled)
     where = environment()
     text = [
         "# Wrong readings at 80 obstacles",

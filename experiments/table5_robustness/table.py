@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     if not args.stored:
         conditions.main(["--worlds", str(args.worlds)], folder)
         faults.main(["--worlds", str(args.worlds)], folder)
-    write(folder, conditions.read(folder / "conditions.csv.gz"), faults.read(folder / "results.csv.gz"))
+    write(folder, conditions.read(folder / "conditions.csv.xz"), faults.read(folder / "results.csv.xz"))
 
 
 def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
@@ -57,8 +57,8 @@ def write(folder: Path, rows: conditions.Rows, faulty: faults.Rows) -> None:
         f"|---|{'---:|' * (len(HEAD) - 1)}",
         *lines,
         "",
-        "Made by `python experiments/table5_robustness/table.py --stored` of `conditions.csv.gz` and "
-        "`results.csv.gz`.",
+        "Made by `python experiments/table5_robustness/table.py --stored` of `conditions.csv.xz` and "
+        "`results.csv.xz`.",
     ]
     (folder / "table.md").write_text("\n".join(text) + "\n")
 

@@ -1,6 +1,6 @@
 """One row of the navigation tables: a method on one course. Its episodes are crossed once and stored.
 
-``rows/episodes.csv.gz`` holds an episode a line, ``rows/notes.json`` what each row of them was made with.
+``rows/episodes.csv.xz`` holds an episode a line, ``rows/notes.json`` what each row of them was made with.
 """
 
 import functools
@@ -34,7 +34,7 @@ from eldenet.simulation.arenas import Arena, arenas_hash
 from eldenet.system.files import LOCK, part_file, read_json, write_json
 
 HERE = Path(__file__).parent
-EPISODES, NOTES = "episodes.csv.gz", "notes.json"
+EPISODES, NOTES = "episodes.csv.xz", "notes.json"
 LABELS = ("method", "sensor", "goal", "physics", "course", "worlds", "seed")  # columns that name a row
 
 

@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser.add_argument("--methods", default=";".join(CARROTS), help="separated by semicolons")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    rows = read(folder / "carrots.csv.gz")
+    rows = read(folder / "carrots.csv.xz")
     arenas = frozen_arenas(80, args.worlds, split="val")
     for method in args.methods.split(";"):
         for carrot in CARROTS[method]:
@@ -89,9 +89,9 @@ def read(file: Path) -> Rows:
 
 
 def write(folder: Path, rows: Rows) -> None:
-    """Write every episode to ``carrots.csv.gz`` and the table to ``carrots.md``."""
+    """Write every episode to ``carrots.csv.xz`` and the table to ``carrots.md``."""
     labeled = {(*key, VERSION): episodes for key, episodes in rows.items()}
-    write_episodes(folder / "carrots.csv.gz", LABELS, labeled)
+    write_episodes(folder / "carrots.csv.xz", LABELS, labeled)
     text = [
         "# Look-ahead distance of the planners",
         "",

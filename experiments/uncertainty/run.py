@@ -3,7 +3,7 @@
 python experiments/uncertainty/run.py --runs runs/uncertainty
 
 The folder holds trainings as ``<row>/seed<number>``, see README.md. Every network's temperature is fitted on
-the frames of ``dev``; all figures are of ``val``. What is in ``scores.jsonl.gz`` is not scored again.
+the frames of ``dev``; all figures are of ``val``. What is in ``scores.jsonl.xz`` is not scored again.
 """
 
 import argparse
@@ -42,7 +42,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from places import camera_split  # noqa: E402
 
 HERE = Path(__file__).parent
-SCORES, IMAGES = HERE / "scores.jsonl.gz", HERE / "images.csv.gz"  # of each run; of its images
+SCORES, IMAGES = HERE / "scores.jsonl.xz", HERE / "images.csv.xz"  # of each run; of its images
 LATENCY = "latency"  # name of a record of SCORES
 LEAST_SPREAD = 1e-4  # of the mirror-image trick, where both predictions agree
 COLUMNS = ("name", "abs_rel", "delta1", *UNCERTAINTY_METRICS)

@@ -6,9 +6,6 @@ Each drive crosses a test arena on wheels by the driver's own ``step``. A fault 
 command that was stopped goes on with the row where it stopped.
 """
 
-import csv
-import gzip
-import io
 import math
 import sys
 from argparse import ArgumentParser
@@ -38,7 +35,7 @@ from eldenet.simulation.arenas import Arena, generate_arena  # noqa: E402
 from eldenet.simulation.depth_camera import StereoArtifacts  # noqa: E402
 from eldenet.simulation.obstacle import WALL_HEIGHT, Obstacle  # noqa: E402
 from eldenet.simulation.robot import ROBOT, arc  # noqa: E402
-from eldenet.system.files import write_bytes  # noqa: E402
+from eldenet.system.files import read_table, write_rows  # noqa: E402
 
 HERE = Path(__file__).parent
 #: Raise it whenever drives change: stored rows of another version are measured again.
@@ -173,7 +170,7 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> None:
     parser.add_argument("--faults", default=None, help="separated by semicolons; default: all of a sensor")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    rows = read(folder / "drives.csv.gz")
+    rows = read(folder / "drives.csv.xz")
     for sensor in args.sensors.split(","):
         names = list(FAULTS[sensor]) if args.faults is None else args.faults.split(";")
         for fault in [name for name in names if name in FAULTS[sensor]]:
@@ -311,11 +308,11 @@ def read(file: Path) -> list[Row]:
     """Return the stored drives of today's version."""
     if not file.is_file():
         return []
-    with gzip.open(file, "rt", newline="") as text:
-        lines = list(csv.reader(text))[1:]
     rows = [
         Row(int(v), sensor, driver, fault, int(world), outcome, float(began), float(stopped), reason)
-        for v, sensor, driver, fault, world, outcome, began, stopped, reason in lines
+        for v, sensor, driver, fault, world, outcome, began, stopped, reason in (
+            row.values() for row in read_table(file, Row._fields)
+        )
     ]
     return [row for row in rows if row.version == WATCH_VERSION]
 
@@ -338,11 +335,8 @@ def line(sensor: str, driver: str, fault: str, rows: Sequence[Row]) -> str:
 
 
 def write(folder: Path, rows: Sequence[Row]) -> None:
-    """Write every drive to ``drives.csv.gz`` and the table to ``results.md``."""
-    out = io.StringIO()
-    table = csv.writer(out, lineterminator="\n")
-    table.writerows([Row._fields, *sorted(rows)])
-    write_bytes(folder / "drives.csv.gz", gzip.compress(out.getvalue().encode(), mtime=0))
+    """Write every drive to ``drives.csv.xz`` and the table to ``results.md``."""
+    write_rows(folder / "drives.csv.xz", Row._fields, sorted(rows))
     keys = [
         (sensor, driver, fault)
         for sensor, faults in FAULTS.items()

@@ -605,4 +605,4 @@ def a_study_of_damaged_records(folder: Path) -> Attack:
 
     study = write_plan(folder, "seeds: [0, 1, 2]", "seeds: [0]")
     add_record(folder, "small/seed0", {"metrics": {"delta1": None}, "seed": "none", "config": 3})
-    return folder / "runs.jsonl.gz", lambda: _tables(study.folder)
+    return folder / "runs.jsonl.xz", lambda: _tables(study.folder)

@@ -24,7 +24,7 @@ from support.training import fit, make_trainer
 from .campaign import FileKind
 
 #: They take seconds to write or to read.
-COSTLY = ("last.pt", "best.pt", "dqn.pt", "ONNX", "OpenVINO", "runs.jsonl.gz")
+COSTLY = ("last.pt", "best.pt", "dqn.pt", "ONNX", "OpenVINO", "runs.jsonl.xz")
 
 layouts.KITTI_SIZES = {"2011_09_26": (60, 80), "2011_09_28": (56, 84)}  # pictures that are read in no time
 
@@ -491,7 +491,7 @@ def _write_normalization(path: Path) -> None:
 
 RESULTS = (
     FileKind("run.json in a report", "run.json", _one_run, _report),
-    FileKind("runs.jsonl.gz of a study", "runs.jsonl.gz", _study, _tables, digest=True),
+    FileKind("runs.jsonl.xz of a study", "runs.jsonl.xz", _study, _tables, digest=True),
     FileKind("sweep.yaml", "sweep.yaml", lambda root: (root.mkdir(parents=True), write_plan(root)), _plan),
     one_file("expected.csv", "expected.csv", _write_expected, _read_expected),
     FileKind("benchmark.csv", "benchmark.csv", _write_latencies, _read_latencies),

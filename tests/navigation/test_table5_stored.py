@@ -26,15 +26,15 @@ def table(path: Path) -> list[str]:
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_stored_table_shows_its_stored_episodes(name, tmp_path):
     study = STUDIES[name]
-    study.write(tmp_path, study.read(FOLDER / f"{name}.csv.gz"))
-    assert read_text(tmp_path / f"{name}.csv.gz") == read_text(FOLDER / f"{name}.csv.gz")
+    study.write(tmp_path, study.read(FOLDER / f"{name}.csv.xz"))
+    assert read_text(tmp_path / f"{name}.csv.xz") == read_text(FOLDER / f"{name}.csv.xz")
     assert table(tmp_path / f"{name}.md") == table(FOLDER / f"{name}.md")
 
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_rows_of_one_kind_are_of_the_same_arenas(name):
     kinds: dict[str, list[list[str]]] = {}
-    for row in STUDIES[name].read(FOLDER / f"{name}.csv.gz").values():
+    for row in STUDIES[name].read(FOLDER / f"{name}.csv.xz").values():
         worlds = [episode.world for episode in row]
         kinds.setdefault(worlds[0], []).append(worlds)
     assert {first.rpartition("-")[2] for first in kinds} <= {"0", str(conditions.FRESH)}
@@ -53,21 +53,21 @@ def test_every_condition_is_a_setting():
 
 def test_rows_of_another_version_or_network_are_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(faults, "FILTER_VERSION", 99)
-    assert {filtered for _, _, filtered in faults.read(FOLDER / "results.csv.gz")} == {False}
-    shutil.copy(FOLDER / "pixels.csv.gz", tmp_path)
+    assert {filtered for _, _, filtered in faults.read(FOLDER / "results.csv.xz")} == {False}
+    shutil.copy(FOLDER / "pixels.csv.xz", tmp_path)
     monkeypatch.setattr(pixels, "DEPTH", "eldenet_rooms")
-    kinds = {kind for _, kind, _ in pixels.read(tmp_path / "pixels.csv.gz")}
+    kinds = {kind for _, kind, _ in pixels.read(tmp_path / "pixels.csv.xz")}
     assert kinds == set(pixels.SENSORS) - set(pixels.BY_NETWORK)
 
 
 def test_a_stored_row_is_not_measured_again(tmp_path, monkeypatch):
     few = ["--worlds", "2", "--sensors", "true ranges", "--conditions", "20 obstacles"]
     pixels.main(few, tmp_path)
-    first = read_text(tmp_path / "pixels.csv.gz")
+    first = read_text(tmp_path / "pixels.csv.xz")
     assert first.count("test-20-") == 2
     monkeypatch.delattr(pixels, "run_episodes")
     pixels.main(few, tmp_path)
-    assert read_text(tmp_path / "pixels.csv.gz") == first
+    assert read_text(tmp_path / "pixels.csv.xz") == first
 
 
 def test_a_row_names_its_detector_and_another_file_is_another_row(tmp_path):
@@ -90,7 +90,7 @@ def test_the_carrot_is_the_fastest_of_those_that_succeed_as_often():
 
 @pytest.mark.parametrize("method", race.CARROTS)
 def test_planners_drive_with_the_carrot_that_the_rule_chose(method):
-    rows = race.read(EXPERIMENTS / "table6_time" / "carrots.csv.gz")
+    rows = race.read(EXPERIMENTS / "table6_time" / "carrots.csv.xz")
     assert race.PLANNERS[method]().carrot == race.tuned(rows, method)
     if method in ("astar_dwa", "astar_online_dwa", "dwa"):
         assert composed("navigate", [f"policy={method}"]).policy.carrot == race.tuned(rows, method)

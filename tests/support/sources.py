@@ -3,7 +3,7 @@
 A comment stands before the paragraph, list or table whose figures it names::
 
     <!-- source: eldenet study study=experiments/table3_rivals
-    table3_rivals/runs.jsonl.gz: eldenet_l
+    table3_rivals/runs.jsonl.xz: eldenet_l
     table3_rivals/results.md: | eldenet_l ; | eldenet over meter_xs
     -->
 
@@ -11,7 +11,7 @@ It starts with the command that makes the files. Each line has a file, from the 
 experiments/, and keys in it. A table has one line for each of its rows with figures, in their order; a row
 that needs two files has them joined by `` ;; ``. The keys, joined by `` ; ``:
 
-- of ``runs.jsonl.gz``, a row of the study (or one run, ``ROW/seed0``): the mean and deviation of each
+- of ``runs.jsonl.xz``, a row of the study (or one run, ``ROW/seed0``): the mean and deviation of each
   metric over its seeds. ``ROW: constant_predictor`` and ``ROW: training`` have those of other entries of
   ``run.json``;
 - of JSON, the start of a dotted path;

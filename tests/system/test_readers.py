@@ -23,7 +23,7 @@ from eldenet.system.files import (
     [
         ("a.txt", b"\xff\xfe", "can't decode byte"),
         ("a.txt", b"a\0b", "zero bytes"),
-        ("a.txt.gz", b"\x1f\x8bcut", "EOFError|BadGzipFile|Error"),
+        ("a.txt.xz", b"\x1f\x8bcut", "EOFError|BadGzipFile|Error"),
         ("a.yaml", b"[" * 10_000, "RecursionError"),
         ("a.yaml", b"a: 2001-99-99", "month must be in 1..12"),
         ("a.yaml", b"a" * (MOST_YAML + 1), "more than the 1 MB allowed"),
@@ -73,7 +73,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text("a: 1\nb: [2\nc: 3\n")
     with pytest.raises(ValueError, match=r"c\.yaml.*line 3: expected ',' or ']'"):
         read_yaml(tmp_path / "c.yaml")
-    write_text(tmp_path / "c.txt.gz", "text")
-    assert read_text(tmp_path / "c.txt.gz") == "text"
+    write_text(tmp_path / "c.txt.xz", "text")
+    assert read_text(tmp_path / "c.txt.xz") == "text"
     write_rows(tmp_path / "d.csv", ["name", "rmse"], [["a", 1]])
     assert read_table(tmp_path / "d.csv", ["rmse"]) == [{"name": "a", "rmse": "1"}]
