@@ -47,8 +47,8 @@ def fit_temperature(
             depth, spread = predict_spread(model, image, focal, flip=protocol.flip, pad=pad)
             truth = batch["depth"].to(device)
             valid = protocol.valid_mask(truth, batch["mask"].to(device))
+            spread = protocol.align_spread(spread, depth, truth, valid)
             depth = protocol.align(depth, truth, valid)
-            spread = protocol.resize_to_gt(spread, truth.shape[-2:])
             ratio = ((truth.clamp(min=1e-9) / depth).log().abs() / spread) ** power
             means += [
                 float(one[known].double().mean())

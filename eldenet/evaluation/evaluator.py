@@ -168,7 +168,7 @@ def evaluate_batches(
                 prediction, spread = predict_spread(model, image, focal, flip=protocol.flip, pad=pad)
                 valid = protocol.valid_mask(depth, mask)
                 aligned = protocol.align(prediction.float(), depth, valid)
-                spread = protocol.resize_to_gt(spread.float(), depth.shape[-2:])
+                spread = protocol.align_spread(spread.float(), prediction.float(), depth, valid)
                 # the spread of ln depth is that of the logarithm of its inverse too
                 compared = protocol.to_metric_space(aligned, depth)
                 meter.update(batch["name"], *compared, spread, valid)

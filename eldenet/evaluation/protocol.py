@@ -237,6 +237,24 @@ class EvalProtocol:
             )
         return prediction.clamp(self.min_depth, self.max_depth) if self.clamp else prediction
 
+    def align_spread(
+        self, spread: "Tensor", prediction: "Tensor", depth: "Tensor", valid: "Tensor"
+    ) -> "Tensor":
+        """Resize and scale the standard deviation of ln depth of a raw ``prediction``, as :meth:`align`.
+
+        A factor leaves it as it is; a shift changes the value that the same sigma is a share of.
+        """
+        spread = self.resize_to_gt(spread, depth.shape[-2:])
+        if self.scale not in ("affine_depth", "affine_disparity"):
+            return spread
+        aligned = self.align(prediction, depth, valid)
+        prediction = self.resize_to_gt(prediction, depth.shape[-2:])
+        if self.scale == "affine_disparity":
+            prediction, aligned, depth = 1 / prediction.clamp(min=self.min_depth), 1 / aligned, 1 / depth
+        factor = _fit(prediction, depth, valid)[0].to(spread.dtype)
+        # a constant prediction is replaced by the mean, whose sigma no factor tells
+        return spread * (factor * prediction / aligned).abs().where(factor != 0, 1.0)
+
     def to_metric_space(self, prediction: "Tensor", depth: "Tensor") -> tuple["Tensor", "Tensor"]:
         """Convert maps ``(B, 1, H, W)`` to what the metrics compare: depth [m], or its inverse."""
         if self.inverse_scale is None:
@@ -261,15 +279,26 @@ def _median_ratio(prediction: "Tensor", depth: "Tensor", valid: "Tensor") -> "Te
 
 def _fitted(prediction: "Tensor", truth: "Tensor", valid: "Tensor") -> "Tensor":
     """Return factor x prediction + shift ``(B, 1, H, W)`` of each image's least squared error."""
-    fitted = prediction.clone()
-    for image, target, known, result in zip(prediction, truth, valid, fitted, strict=True):
+    factor, shift = _fit(prediction, truth, valid)
+    return (factor * prediction + shift).to(prediction.dtype)
+
+
+def _fit(prediction: "Tensor", truth: "Tensor", valid: "Tensor") -> tuple["Tensor", "Tensor"]:
+    """Factor and shift of each image's least squared error, ``(B, 1, 1, 1)`` float64 each."""
+    import torch
+
+    factors, shifts = [], []
+    for image, target, known in zip(prediction, truth, valid, strict=True):
+        factor, shift = image.new_ones((), dtype=torch.float64), image.new_zeros((), dtype=torch.float64)
         if known.any():
             x, y = image[known].double(), target[known].double()
             spread = (x - x.mean()).square().sum()
             # a constant prediction becomes the mean
             factor = ((x - x.mean()) * (y - y.mean())).sum() / spread if spread > 0 else spread
-            result.copy_(factor * (image.double() - x.mean()) + y.mean())
-    return fitted
+            shift = y.mean() - factor * x.mean()
+        factors.append(factor)
+        shifts.append(shift)
+    return torch.stack(factors).view(-1, 1, 1, 1), torch.stack(shifts).view(-1, 1, 1, 1)
 
 
 def _median(values: "Tensor") -> "Tensor":

@@ -176,6 +176,59 @@ def test_measures_compare_the_inverse_depth_where_the_metrics_do() -> None:
     assert found["nll"] == pytest.approx(math.log(2) / 0.1 * math.sqrt(2) + math.log(math.sqrt(2) * 0.1))
 
 
+class Seen(Constant):
+    """Depth and spread are the first two channels of the picture."""
+
+    distribution = "gaussian"
+
+    def forward(self, image: torch.Tensor, *, with_spread: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        return image[:, :1], self.head.temperature * image[:, 1:2]
+
+
+@pytest.mark.parametrize("scale", ["metric", "median", "affine_depth", "affine_disparity"])
+def test_a_right_sigma_stays_right_where_depth_is_aligned(scale: str, monkeypatch) -> None:
+    """The truth is the network's own distribution, before a factor and shift that the alignment undoes."""
+    from eldenet.evaluation import calibration
+
+    draw = torch.Generator().manual_seed(0)
+    depth, spread = (
+        low + size * torch.rand(4, 1, 60, 80, generator=draw) for low, size in ((2, 6), (0.03, 0.1))
+    )
+    own = depth * (spread * torch.randn(depth.shape, generator=draw)).exp()
+    truth = {
+        "metric": own,
+        "median": 3 * own,
+        "affine_depth": 0.5 * own + 3,
+        "affine_disparity": 1 / (0.7 / own + 0.3),
+    }[scale]
+    batch = {
+        "name": list("abcd"),
+        "image": torch.cat([depth, spread, spread], dim=1),
+        "depth": truth,
+        "mask": torch.ones_like(truth, dtype=torch.bool),
+        "intrinsics": torch.zeros(4, 3, 3),
+    }
+    frames = MagicMock(ground_truth="raw", class_names=(), stretch=None)
+    loader = MagicMock(dataset=frames)
+    loader.__iter__.return_value = iter([[batch]])
+    monkeypatch.setattr(calibration, "evaluation_loader", lambda *_: [[batch]])
+    model, protocol = Seen("gaussian"), EvalProtocol("p", max_depth=100.0, scale=scale)
+    found = evaluate_batches(model, loader, protocol).metrics
+    for level in (50, 80, 90, 95):
+        assert found[f"coverage{level}"] == pytest.approx(level / 100, abs=0.015)
+    assert fit_temperature(model, frames, protocol) == pytest.approx(1.0, abs=0.03)
+
+
+def test_an_image_whose_fit_has_no_factor_keeps_its_spread() -> None:
+    """A single known pixel: the alignment puts the truth in its place, and no factor follows from it."""
+    depth = torch.full((1, 1, 4, 4), 3.0)
+    known = torch.zeros_like(depth, dtype=torch.bool)
+    known[..., 1, 1] = True
+    protocol = EvalProtocol("p", scale="affine_depth")
+    spread = protocol.align_spread(torch.full_like(depth, 0.2), torch.full_like(depth, 2.0), depth, known)
+    assert spread[known].tolist() == pytest.approx([0.2])
+
+
 def test_a_run_folder_shows_the_measures(tmp_path, monkeypatch) -> None:
     from support import scoring
 
