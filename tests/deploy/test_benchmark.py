@@ -260,6 +260,15 @@ def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> N
     assert not (tmp_path / "out" / "rows.jsonl").exists()  # before anything was measured
 
 
+def test_a_sweep_is_no_accuracy_of_one_network(tmp_path: Path) -> None:
+    for rate in ("1e-3", "1e-4"):
+        config = {"optimizer": {"lr": float(rate)}}
+        stored(tmp_path, rate, config=config, overrides=[f"optimizer.lr={rate}"])
+    with pytest.raises(ValueError, match=r"accuracies=.*differ in more than their seed .*lr=1e-3, .*lr=1e-4"):
+        read_accuracies([str(tmp_path)], "delta1", ["eldenet_s"])
+    assert read_accuracies([str(tmp_path / "1e-3")], "delta1", ["eldenet_s"]) is not None
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [

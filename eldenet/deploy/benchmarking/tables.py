@@ -109,6 +109,11 @@ def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]
     try:
         refuse_mixtures(runs, costs=False)
         rows = {row.model: row.values("metrics", metric) for row in group_rows(runs)}
+        if split := [name for name in rows if name not in models]:  # group_rows names rows of a sweep apart
+            raise ValueError(
+                f"runs of one model differ in more than their seed ({', '.join(split)}): give only the runs "
+                "of the networks that are measured"
+            )
     except ValueError as error:
         raise ValueError(f"accuracies={list(folders)}: {error}") from error
     title = f"{heading(metric, runs[0])}, {runs[0]['protocol']['name']}, {runs[0]['data']}/{runs[0]['split']}"
