@@ -21,7 +21,6 @@ from eldenet.geometry import focal_of_fov, resize_image, size_of_aspect
 from eldenet.system.checks import at_least, check_size, one_of
 from eldenet.system.extras import require
 from eldenet.system.files import safe_stem
-from eldenet.uncertainty import DepthEstimate
 from eldenet.weights import find_checkpoint, name_of
 
 if TYPE_CHECKING:
@@ -203,15 +202,16 @@ def compare_with_torch(
     Raises:
         ValueError: an output of an fp32 file differs from torch's, or no installed runtime loads the file.
     """
+    import torch
+
     from eldenet.deploy import runtimes
-    from eldenet.deploy.predictor import DepthPredictor
+    from eldenet.deploy.predictor import as_image, enlarged
 
     s, output = target.s, target.output
     upright = target.size[::-1] if target.any_size else target.size  # of every other picture
     sizes = [s.camera or (upright if number % 2 else target.size) for number in range(len(pictures))]
     seen = [resize_image(picture, size) for picture, size in zip(pictures, sizes, strict=True)]
     outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
-    with_sigma = "sigma" in outputs
     widths = [picture.shape[1] for picture in seen]
     if s.fov is not None:
         lenses: list[float | None] = [focal_of_fov(s.fov, width) for width in widths]
@@ -220,13 +220,14 @@ def compare_with_torch(
         lenses = [0.9 * width if told and number % 2 else None for number, width in enumerate(widths)]
     reference = []
     for picture, lens in zip(seen, lenses, strict=True):
-        size = target.size if s.camera else (picture.shape[0], picture.shape[1])
-        predictor = DepthPredictor(model, size, steady=False, uncertainty=with_sigma)
-        if s.camera is None:
-            predictor.stretch = 1.0  # these pictures have the file's size already
+        width = picture.shape[1]
         # float32: resizing must not round to gray levels, as camera files do not
-        answer = predictor.estimate_unrounded(picture.astype(np.float32), lens)
-        reference.append(answer if with_sigma else DepthEstimate(answer))
+        image = as_image(resize_image(picture.astype(np.float32), target.size) if s.camera else picture)
+        focal = None if lens is None else lens * image.shape[3] / width
+        with torch.inference_mode():
+            answer = model.predict(torch.from_numpy(image), focal)
+        maps = {kind: getattr(answer, kind)[0, 0].numpy() for kind in outputs}
+        reference.append({kind: enlarged(each, picture.shape[:2]) for kind, each in maps.items()})
     rows, fault, inputs = [], "", [as_input(picture, target) for picture in seen]
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
         try:
@@ -238,7 +239,7 @@ def compare_with_torch(
         estimates = [network.predict(*given) for given in zip(inputs, lenses, strict=True)]
         for kind in outputs:
             ours = np.concatenate([getattr(estimate, kind)[0, 0].ravel() for estimate in estimates])
-            theirs = np.concatenate([getattr(estimate, kind).ravel() for estimate in reference])
+            theirs = np.concatenate([maps[kind].ravel() for maps in reference])
             found = map_errors(ours, theirs)
             rows.append([name, kind, *(f"{value:.2g}" for value in found.values())])
             if s.precision == "fp32" and not found["median_relative"] < FP32_TOLERANCE:

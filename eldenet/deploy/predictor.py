@@ -174,8 +174,8 @@ class DepthPredictor:
 
         Raises:
             ValueError: the frame has another shape or type or is smaller than 8 px, its camera is given twice
-                or is that of no lens (:func:`eldenet.geometry.check_intrinsics`), or what the network
-                answers is no depth.
+                or is that of no lens (:func:`eldenet.geometry.check_intrinsics`), the file is for another
+                lens or wider frames, or what the network answers is no depth.
         """
         check_frame(frame)
         size = (frame.shape[0], frame.shape[1])
@@ -183,17 +183,7 @@ class DepthPredictor:
             raise ValueError(
                 f"frame is {size[0]} x {size[1]} px: give a picture of {LEAST_SIDE} px or more to each side"
             )
-        return self.estimate_unrounded(frame, focal_length(intrinsics, fov, size, focal))
-
-    def estimate_unrounded(self, frame: np.ndarray, focal: float | None = None) -> Any:
-        """As a call, but ``frame (H, W, 3)`` may be float32 gray levels, which resizing does not round.
-
-        ``export`` compares files that resize frames themselves with this; ``focal`` is fx [px].
-
-        Raises:
-            ValueError: the file is for another lens or wider frames, or what the network answers is no depth.
-        """
-        size = (frame.shape[0], frame.shape[1])
+        focal = focal_length(intrinsics, fov, size, focal)
         if focal is not None and self.known_fov is not None:
             check_known_lens(self.known_fov, focal, size[1])
         elif focal is not None and self.canonical_px is None and not self._said:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from support.networks import canonical_net
 
 import eldenet
 from eldenet.compose import compose
@@ -107,6 +108,17 @@ def test_every_packaged_network_exports_and_agrees_with_torch(
     outputs = 1 if eldenet.load(weights).distribution is None else 2
     said = capsys.readouterr().out
     assert said.count("onnxruntime") == said.count("openvino") == outputs
+
+
+@pytest.mark.parametrize("words", [["size=[40,60]"], ["camera=[80,120]", "size=[40,60]"], ["size=[64,128]"]])
+def test_a_network_with_a_canonical_camera_is_compared_at_any_one_size(
+    photos: Path, tmp_path: Path, words: list[str], capsys
+) -> None:
+    """Neither another aspect than the training's nor another scale counts as a difference from torch."""
+    folder = canonical_net(*SIZE).save_pretrained(tmp_path / "model")
+    run(folder, photos, f"output='{tmp_path / 'm.onnx'}'", *words)
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if " depth " in line]
+    assert [row[0] for row in rows if float(row[-1]) < 1e-5] == ["onnxruntime", "openvino"]
 
 
 @pytest.mark.parametrize("format", ["onnx", "openvino"])
