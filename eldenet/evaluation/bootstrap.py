@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -14,10 +15,14 @@ LIMITS = ((1 - 0.95) / 2, (1 + 0.95) / 2)  # quantiles at the ends of the interv
 def scenes_of(names: Sequence[str]) -> np.ndarray:
     """The scene of each frame, as numbers ``(N,)``: what an interval draws.
 
-    Frames of one room, place or drive are alike, so an interval that draws single frames is too narrow. Where
-    all frames are of one scene, each counts as its own: nothing else can be drawn.
+    Frames of one room, place or drive are alike, so an interval that draws single frames is too narrow. A
+    scene is a folder with all that is above it: ``hall/rgb`` is not ``kitchen/rgb``. Where all frames are of
+    one scene, each counts as its own: nothing else can be drawn.
     """
-    found = np.unique([labeled_scene(name) or scene_of(name) for name in names], return_inverse=True)[1]
+    scenes = [
+        labeled_scene(name) or f"{PurePosixPath(name).parent.parent}/{scene_of(name)}" for name in names
+    ]
+    found = np.unique(scenes, return_inverse=True)[1]
     return np.arange(len(names)) if len(names) and not found.any() else found
 
 

@@ -82,8 +82,12 @@ def test_frames_of_a_scene_are_drawn_together():
     [
         (["labeled_out/0022", "labeled_out/0027", "labeled_out/0080", "labeled_out/0001"], [1, 1, 2, 0]),
         (["rooms/test/000000/0", "rooms/test/000000/1", "rooms/test/000001/0"], [0, 0, 1]),
-        (["2011_09_26_drive_0002_sync/image_02/01", "2011_09_26_drive_0009_sync/image_02/01"], [0, 1]),
+        (
+            [f"2011_09_26_drive_{n}_sync/image_0{c}/01" for n in ("0002", "0009") for c in (2, 3)],
+            [0, 0, 1, 1],
+        ),
         (["kitchen_0001a/1", "kitchen_0001b/1", "office_0001/1"], [0, 0, 1]),
+        (["hall/rgb/000", "hall/rgb/001", "kitchen/rgb/000"], [0, 0, 1]),
         (["1", "2", "3"], [0, 1, 2]),
         ([], []),
     ],
