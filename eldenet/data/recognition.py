@@ -465,6 +465,8 @@ def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, 
             row for row in ENCODINGS.values() if row.dtype == kind and row.decode is None and not row.offset
         ]
         rows = [(row.name, row.scale) for row in named if stated is None or np.isclose(row.scale, stated)]
+        if stated is None and values.dtype == np.uint16 and not (values % 8).any():  # turned by three bits
+            rows.append(("sunrgbd", ENCODINGS["sunrgbd"].scale / 8))
         if kind == "float":
             rows.append((given, 0.001))
     found: list[tuple[str, dict[str, Any]]] = []

@@ -121,6 +121,20 @@ def test_the_largest_number_of_16_bits_is_no_depth(tmp_path: Path) -> None:
     assert not any("max_depth" in word for word in found.readings[0].settings)
 
 
+@pytest.mark.parametrize("turned", [True, False])
+def test_sun_rgbd_is_a_unit_where_its_bits_allow(turned: bool, tmp_path: Path) -> None:
+    for i in range(3):
+        recordings.picture(tmp_path / f"{i}_color.png", i)
+        raw = np.full(SIZE, 3501, np.uint16)
+        cv2.imwrite(str(tmp_path / f"{i}_depth.png"), raw << 3 if turned else raw)
+    (found,) = recognize(tmp_path)
+    lines = [reading.line for reading in found.readings if "sunrgbd" in reading.note]
+    assert len(lines) == turned
+    assert [depth for line in lines for depth, _ in frames_of(line).values()] == pytest.approx(
+        [3.501] * 3 * turned
+    )
+
+
 def test_every_tree_of_a_data_set_has_a_line_that_is_read(tmp_path: Path) -> None:
     for layout in KNOWN_LAYOUTS:
         if layout.settings[0].startswith("data="):
