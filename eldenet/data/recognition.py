@@ -391,7 +391,7 @@ def _unpaired(folder: Path, settings: Mapping[str, Any], frames: Sequence[Record
     lines = []
     for place, (setting, kind) in enumerate((("images", "pictures"), ("depths", "depth maps"))):
         if setting in settings:
-            used = {frame.files[place] for frame in frames}
+            used = {file for frame in frames for file in frame.files}
             endings = (IMAGE_ENDINGS, DEPTH_ENDINGS)[place]
             alone = sorted(set(find_frame_files(folder, settings[setting], endings).values()) - used)
             if alone:

@@ -113,6 +113,11 @@ class Layout:
     def _found(self, root: Path, *, strict: bool) -> dict[str, RecordedFrame]:
         pictures = find_frame_files(root, self.images, IMAGE_ENDINGS)
         maps = find_frame_files(root, self.depths, DEPTH_ENDINGS)
+        both = set(pictures.values()) & set(maps.values())  # *.png finds a_depth.png beside a.png, too
+        if len(pictures) > len(both):
+            pictures = {key: file for key, file in pictures.items() if file not in both}
+        elif len(maps) > len(both):
+            maps = {key: file for key, file in maps.items() if file not in both}
         for kind, setting, place, found, endings in (
             ("pictures", "images", self.images, pictures, IMAGE_ENDINGS),
             ("depth maps", "depths", self.depths, maps, DEPTH_ENDINGS),
@@ -127,7 +132,7 @@ class Layout:
             raise FileNotFoundError(self._nothing_pairs(root, pictures, maps))
         if self.by == "time":
             self._say_left_out(root, pictures, maps, pairs)
-            both = list(pairs)
+            named = list(pairs)
         else:
             lonely = [
                 f"{pictures[k]} (no depth in {self.depths})" for k in sorted(set(pictures) - set(pairs))
@@ -140,9 +145,9 @@ class Layout:
                     "pairs of different names in a CSV (data.csv=...), or leave these frames out "
                     "(data.on_error=skip)"
                 )
-            both = [*pictures, *alone]
+            named = [*pictures, *alone]
         frames = {}
-        for key in both:
+        for key in named:
             picture = pictures.get(key) or expected_file(self.images, key)
             depth_key = pairs.get(key, key)
             depth = maps.get(depth_key) or expected_file(self.depths, depth_key)

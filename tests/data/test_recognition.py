@@ -88,6 +88,18 @@ def test_one_frame_is_a_recording(tmp_path: Path) -> None:
     assert settings == ("data.images=images", "data.depths=depths", "data.input_size=[32,64]")
 
 
+@pytest.mark.parametrize("names", [("{}.png", "{}_depth.png"), ("{}_color.png", "{}.png")])
+def test_pictures_and_depth_lie_in_one_folder(names: tuple[str, str], tmp_path: Path) -> None:
+    """The pattern of the one finds the files of the other, too."""
+    for i in range(3):
+        recordings.picture(tmp_path / names[0].format(i), i)
+        recordings.depth(tmp_path / names[1].format(i), i, SIZE)
+    (found,) = recognize(tmp_path)
+    assert not [fact for fact in found.facts if "partner" in fact]
+    for name, (depth, _) in frames_of(found.readings[0].line).items():
+        assert depth == pytest.approx(recordings.meters(int(name)), abs=1e-3)
+
+
 @pytest.mark.parametrize("tree", ["{part}/{kind}", "{kind}/{part}", "{part}/hall/{kind}"])
 def test_folders_named_as_parts_are_one_recording(tree: str, tmp_path: Path) -> None:
     for part, count in (("train", 3), ("val", 2)):
