@@ -74,7 +74,7 @@ def _row(path: Path, number: int, row: list[str], columns: Mapping[str, int]) ->
     if not (cells.get("image") and cells.get("depth")):
         raise ValueError(f"{path}, line {number}: no image or no depth in {str(row)[:200]}")
     camera = None
-    if set(_NUMBERS) <= set(columns):
+    if set(_NUMBERS) & set(columns):
         with reading(f"{path}, line {number}", "row with fx, fy, cx, cy"):
             camera = Camera(pinhole(*(float(cells[name]) for name in _NUMBERS)))
     return ListedFrame(

@@ -271,6 +271,9 @@ def test_a_list_is_checked_line_by_line(tmp_path: Path) -> None:
     table.write_text(good.replace("60.0", "wide", 1))
     with pytest.raises(ValueError, match=r"pairs\.csv, line 2"):
         open_recording("table", tmp_path)
+    table.write_text(good.replace(",cy", ",other", 1))
+    with pytest.raises(ValueError, match=r"pairs\.csv, line 2 .* row with fx, fy, cx, cy .*'cy'"):
+        open_recording("table", tmp_path)
     table.write_text(good + "../a.jpg,b/1.png,60,60,31,24,x\n")
     with pytest.raises(ValueError, match=r"'\.\./a\.jpg' is outside"):
         open_recording("table", tmp_path)
