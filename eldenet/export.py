@@ -208,8 +208,11 @@ def compare_with_torch(
     from eldenet.deploy.predictor import as_image, enlarged
 
     s, output = target.s, target.output
-    upright = target.size[::-1] if target.any_size else target.size  # of every other picture
-    sizes = [s.camera or (upright if number % 2 else target.size) for number in range(len(pictures))]
+    height, width = target.size
+    # at any size also upright pictures, and those whose sides, halved and rounded down or up, stay odd
+    odd = (height - height % 32 + 31, width - width % 32 + 33)
+    each = ([target.size] + [(width, height), odd] * target.any_size) * len(pictures)
+    sizes = [s.camera or size for size in each[: len(pictures)]]
     seen = [resize_image(picture, size) for picture, size in zip(pictures, sizes, strict=True)]
     outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
     widths = [picture.shape[1] for picture in seen]
@@ -236,7 +239,11 @@ def compare_with_torch(
             fault = str(error)
             log.say(f"not compared under {name}: {fault}")
             continue
-        estimates = [network.predict(*given) for given in zip(inputs, lenses, strict=True)]
+        try:
+            estimates = [network.predict(*given) for given in zip(inputs, lenses, strict=True)]
+        except Exception as error:  # each runtime has a class of its own
+            advice = f" at any size: give size={list(target.size)}, or another one" * target.any_size
+            raise ValueError(f"{output} was removed, as {name} cannot run it{advice} ({error})") from error
         for kind in outputs:
             ours = np.concatenate([getattr(estimate, kind)[0, 0].ravel() for estimate in estimates])
             theirs = np.concatenate([maps[kind].ravel() for maps in reference])

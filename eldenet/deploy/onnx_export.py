@@ -98,8 +98,9 @@ def write_onnx(
             inputs = [name] + [FOCAL] * asks
             graph = _to_onnx(network.eval(), (example, *lens), (inputs, outputs), axes, opset)
     except RuntimeError as error:  # base class of the exporter's errors
-        what = " at any size" * any_size
-        raise ValueError(f"opset={opset} cannot express this network{what}: {first_line(error)}") from error
+        if any_size:
+            raise ValueError(f"this network has no graph for any size: give size={list(size)}") from error
+        raise ValueError(f"opset={opset} cannot express this network: {first_line(error)}") from error
     return write_graph(graph, Path(path), metadata or {})
 
 
@@ -123,7 +124,7 @@ def _to_onnx(
         return program.model_proto
     content: Any = BytesIO()
     if "height" in axes:
-        raise RuntimeError(f"any size needs opset={NEWEST_OPSET}")
+        raise ValueError(f"opset={opset}: files for any size need opset={NEWEST_OPSET}")
     lengths = {port: {0: "batch"} for port in ports[0] + ports[1]} if axes else None
     torch.onnx.export(network, examples, content, dynamo=False, dynamic_axes=lengths, **names)
     return onnx.load_from_string(content.getvalue())

@@ -1,5 +1,6 @@
 """``python -m eldenet.export``, for every family of networks in the zoo."""
 
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -9,12 +10,16 @@ import torch
 from support.networks import canonical_net
 
 import eldenet
+from eldenet.backbones.timm import TimmBackbone
 from eldenet.compose import compose
+from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.deploy import runtimes
 from eldenet.deploy.metadata import read_metadata
 from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.export import ExportSettings, compare_with_torch, export, map_errors, target_of
+from eldenet.heads import LinearHead
+from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
 from eldenet.uncertainty import DepthEstimate
 
@@ -247,6 +252,18 @@ def test_a_file_of_any_size_crops_what_a_decoder_makes_beyond_an_odd_image(tmp_p
     file, image = runtimes.load(path, "onnxruntime", threads=1), torch.rand(1, 3, 49, 67)
     with torch.inference_mode():
         np.testing.assert_allclose(file(image.numpy()), network(image).numpy(), rtol=1e-3)
+
+
+def test_a_file_that_fails_at_odd_sizes_is_no_file_of_any_size(photos: Path, tmp_path: Path) -> None:
+    """The exporter keeps the branch of its example, which has nothing to pad; ConvNeXt rounds down."""
+    pytest.importorskip("timm")
+    parts = TimmBackbone("test_convnext"), partial(FastUpConvDecoder, modules=2), LinearHead()
+    folder = DepthNet.from_parts(*parts).save_pretrained(tmp_path / "model", info={"input_size": [64, 96]})
+    words = f"output='{tmp_path / 'm.onnx'}'", "checks=3"
+    with pytest.raises(ValueError, match=r"m\.onnx was removed.* at any size: give size=\[64, 96\]"):
+        run(folder, photos, *words)
+    assert not list(tmp_path.glob("*.onnx"))
+    assert run(folder, photos, *words, "size=[64,96]").is_file()
 
 
 @pytest.fixture(scope="module")
