@@ -93,6 +93,16 @@ def _write(picture: np.ndarray, text: str, place: tuple[int, int], size: float) 
     cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 1, cv2.LINE_AA)
 
 
+def _letters(height: int) -> float:
+    """Size of the letters beside panels of a height [px]."""
+    return height / 800 + 0.2
+
+
+def _length(text: str) -> int:
+    """Length of a text in letters of size 1 [px]."""
+    return cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 1.0, 1)[0][0]
+
+
 def stack_rows(rows: Sequence[np.ndarray], titles: Sequence[str] = (), *, scales: int = 1) -> np.ndarray:
     """Stack rows ``(h, w, 3)`` below ``titles`` of their panels; narrow rows are padded.
 
@@ -164,7 +174,7 @@ def visible_range(depth: np.ndarray) -> tuple[float, float]:
 def photo_beside_depth(
     photo: np.ndarray, depth: np.ndarray, near: float, far: float, *, unsure: np.ndarray | None = None
 ) -> np.ndarray:
-    """One picture ``(h, w, 3)`` uint8 RGB: photo, colored depth, scale in meters.
+    """One picture ``(h, w, 3)`` uint8 RGB: photo, colored depth, scale in meters, titles above them.
 
     Args:
         photo: ``(H, W, 3)`` uint8 RGB.
@@ -181,23 +191,24 @@ def photo_beside_depth(
     if unsure is not None:
         at = unsure & known
         colors[at] = colors[at] // 3 + PALE  # toward white, so that the depth can still be read
-    return _beside(photo, [colors], lambda height: depth_scale(near, far, height))
+    titles = ("picture", "depth" if unsure is None else "depth (pale: unsure)")
+    return _beside(photo, [colors], lambda height: depth_scale(near, far, height), titles)
 
 
 def photo_beside_depths(
     photo: np.ndarray, depths: Sequence[np.ndarray], near: float, far: float
 ) -> np.ndarray:
-    """Same as :func:`photo_beside_depth` for several depth maps ``(H, W)`` [m], with one scale."""
+    """Same as :func:`photo_beside_depth` for several depth maps ``(H, W)`` [m], with one scale, no titles."""
     panels = [color_depth(depth, near, far, np.isfinite(depth) & (depth > 0)) for depth in depths]
     return _beside(photo, panels, lambda height: depth_scale(near, far, height))
 
 
 def photo_beside_sigma(photo: np.ndarray, depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """One picture ``(h, w, 3)`` uint8 RGB: photo, sigma in percent of the depth, scale.
+    """One picture ``(h, w, 3)`` uint8 RGB: photo, sigma in percent of the depth, scale, titles.
 
     Dark is sure; bright is ``LARGEST_SHARE`` percent and more. All maps are ``(H, W)`` [m].
     """
-    return _beside(photo, [color_share(100 * sigma / depth)], share_scale)
+    return _beside(photo, [color_share(100 * sigma / depth)], share_scale, ("picture", "sigma, of the depth"))
 
 
 def share_scale(height: int) -> np.ndarray:
@@ -211,13 +222,22 @@ def color_share(percent: np.ndarray, known: np.ndarray | None = None) -> np.ndar
 
 
 def _beside(
-    photo: np.ndarray, panels: Sequence[np.ndarray], scale: Callable[[int], np.ndarray]
+    photo: np.ndarray,
+    panels: Sequence[np.ndarray],
+    scale: Callable[[int], np.ndarray],
+    titles: Sequence[str] = (),
 ) -> np.ndarray:
-    """Photo, panels ``(H, W, 3)`` and the scale of their height in one picture of even sides."""
+    """Photo, panels ``(H, W, 3)`` and the scale of their height below titles, in a picture of even sides."""
     factor = -(-SMALLEST_HEIGHT // photo.shape[0])
     pieces = [_enlarged(panel, factor) for panel in (photo, *panels)]
-    height = pieces[0].shape[0]
+    height, width = pieces[0].shape[:2]
     row = _joined([*pieces, scale(height)], _blank(height, 4), axis=1)
+    if titles:
+        size = min([_letters(height), *(0.95 * width / _length(title) for title in titles)])
+        strip = _blank(round(30 * size) + 6, row.shape[1])
+        for number, title in enumerate(titles):
+            _write(strip, title, (number * (width + 4) + 2, round(22 * size) + 3), size)
+        row = np.concatenate([strip, row])
     return np.pad(row, ((0, row.shape[0] % 2), (0, row.shape[1] % 2), (0, 0)), constant_values=255)
 
 
@@ -234,7 +254,7 @@ def depth_scale(
     Args:
         color: values -> colors; None: those of :func:`color_depth`.
     """
-    size = height / 800 + 0.2  # of the letters
+    size = _letters(height)
     margin, bar = round(24 * size) + 2, max(10, height // 24)
     ticks = round_numbers(near, far)
     digits = max(0, min(2, -int(np.floor(np.log10(ticks[1] - ticks[0]) + 1e-9))))

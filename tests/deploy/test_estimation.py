@@ -59,7 +59,7 @@ def test_points_and_colors(kitchen: estimation.PictureDepth, tmp_path: Path) -> 
     # the pixel 100 px right of the center: tan of its angle is 100 / fx
     np.testing.assert_allclose(points[0, 239 + 100, 0] / points[0, 339, 2], 99.5 / FOCAL, rtol=1e-6)
     drawn = np.asarray(kitchen.plot(0.5, 4.0))
-    np.testing.assert_array_equal(drawn[:320, :480], read_image(KITCHEN))
+    np.testing.assert_array_equal(drawn[-320:, :480], read_image(KITCHEN))  # below its title
     with pytest.raises(ValueError, match=r"near=5, far=1: give 0 <= near < far \[m\]"):
         kitchen.plot(5, 1)
     assert len(read_ply(kitchen.save(tmp_path, "ply")[0])) == 320 * 480

@@ -55,7 +55,7 @@ def test_a_picture_becomes_depth_colors_and_points(
     np.testing.assert_array_equal(written, np.rint(depth.astype(np.float64) * 1000))
     np.testing.assert_allclose(read_depth(tmp_path / "out/kitchen_depth.png", "mm"), depth, atol=5.1e-4)
     color = cv2.imread(str(tmp_path / "out/kitchen_color.png"))
-    assert color.shape[0] == 240
+    assert 240 < color.shape[0] < 280  # with titles
     assert color.shape[1] > 2 * 64 * 5
     # every pixel is a point of its color that projects back to it, although the network saw 32 x 64
     vertices = read_ply(tmp_path / "out/kitchen.ply")

@@ -136,7 +136,9 @@ def test_the_scale_shows_round_meters_at_a_constant_width() -> None:
     assert visible_range(depth) == (2.0, 2.05)
     assert visible_range(np.zeros((3, 3))) == (0.0, 1.0)
     picture = photo_beside_depth(photo(48, 65), depth, 0.5, 120.0)
-    np.testing.assert_array_equal(picture[:240:5, : 65 * 5 : 5], photo(48, 65))
+    titles, picture = np.split(picture, [-240])
+    assert [(part < 128).any() for part in np.split(titles, [325, 654], axis=1)] == [True, True, False]
+    np.testing.assert_array_equal(picture[::5, : 65 * 5 : 5], photo(48, 65))
     assert not picture[100, 65 * 5 + 4 + 50].any()  # unknown is black
     widths = {photo_beside_depth(photo(), depth[:, :64], 0.0, far).shape for far in (0.07, 1, 9.9, 12, 150)}
     assert len(widths) == 1  # a video's frames have one size
