@@ -189,7 +189,8 @@ def _ground_prior(evidence: ObjectEvidence) -> tuple[np.ndarray, np.ndarray]:
     for plane, scale in ((evidence.plane, evidence.plane_sigma), (evidence.nominal, 0.0)):
         if plane is None:
             continue
-        sigma = np.hypot(0.05 + plane.tilt * distance, scale * plane.offset if plane.fitted else 0.0)
+        height = float(plane.height_above(evidence.camera.translation))
+        sigma = np.hypot(0.05 + plane.tilt * distance, scale * height if plane.fitted else 0.0)
         line = np.array([plane.offset, -plane.normal[0], -plane.normal[2]]) / plane.normal[1]
         total += sigma**-2
         sums += line / sigma[:, None] ** 2

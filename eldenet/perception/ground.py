@@ -38,14 +38,17 @@ class GroundPlane:
         return np.asarray((self.offset - n[0] * x - n[2] * z) / n[1])
 
 
-def flat_ground(camera_height: float) -> GroundPlane:
-    """Level ground ``camera_height`` [m] below the origin; a driving car tilts by about 0.02 rad.
+def flat_ground(camera_height: float, camera: PinholeCamera | None = None) -> GroundPlane:
+    """Level ground ``camera_height`` [m] below the camera; a driving car tilts by about 0.02 rad.
+
+    Without a camera, it is at the origin of the level frame.
 
     Raises:
         ValueError: the height is not 0.01 to 20 m.
     """
     check_camera_height(camera_height, HEIGHTS[0], HEIGHTS[1])
-    return GroundPlane(np.array([0.0, 1.0, 0.0]), float(camera_height), tilt=0.02)
+    eye = 0.0 if camera is None else float(camera.translation[1])
+    return GroundPlane(np.array([0.0, 1.0, 0.0]), eye + float(camera_height), tilt=0.02)
 
 
 def fit_ground(
@@ -61,7 +64,7 @@ def fit_ground(
     if len(rows) < 50:
         return None
     distance = depth[rows, columns]  # along the optical axis, wherever that points in the level frame
-    points = camera.back_project(columns, rows, distance)
+    points = camera.back_project(columns, rows, distance) - camera.translation
     triple = points[rng.integers(0, len(points), (_TRIALS, 3))]
     normals = np.cross(triple[:, 1] - triple[:, 0], triple[:, 2] - triple[:, 0])
     length = np.linalg.norm(normals, axis=1)
@@ -88,7 +91,7 @@ def fit_ground(
         inside = np.abs(points @ normal - offset) < tolerance
     if normal[1] < np.cos(max_slope) or offset <= 0 or inside.mean() < 0.1:
         return None
-    return GroundPlane(normal, offset, fitted=True)
+    return GroundPlane(normal, float(offset + normal @ camera.translation), fitted=True)
 
 
 def floor_tolerance(distance: np.ndarray) -> np.ndarray:

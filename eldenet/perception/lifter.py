@@ -53,8 +53,8 @@ class BoxLifter:
     Args:
         priors: sizes by class name.
         ground: "fit" it to the depth, a known plane, or None for no ground.
-        camera_height: above the ground [m], if known: "no_depth" needs it, and "refine" weighs it against
-            the fitted plane.
+        camera_height: of the camera above the ground [m], if known: "no_depth" needs it, and "refine" weighs
+            it against the fitted plane.
         depth_sigma: relative depth error of whole objects; with ``small_sigma``, of objects whose shorter
             side is ``LARGE_SIDE`` pixels or more. None: both are those of the depth's source: of a sparse map
             ``SENSOR_SIGMA``, for it is a LiDAR's, else ``NETWORK_SIGMA``.
@@ -144,7 +144,7 @@ class BoxLifter:
         check_intrinsics(camera.intrinsics, (height, width))
         _warn_of_odd_depth(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]
-        nominal = None if self.camera_height is None else flat_ground(self.camera_height)
+        nominal = None if self.camera_height is None else flat_ground(self.camera_height, camera)
         plane = self.ground if isinstance(self.ground, GroundPlane) else nominal
         if self.ground == "fit" and self.method in ("refine", "lshape"):
             plane = fit_ground(depth, camera) or nominal

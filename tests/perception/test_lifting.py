@@ -130,6 +130,23 @@ def test_a_camera_elsewhere_in_the_level_frame_moves_the_boxes_by_as_much(method
     assert abs(wrap_half(there.yaw[0] - here.yaw[0])) < np.radians(1)
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("height", [None, 1.6])
+@pytest.mark.parametrize("up", [1.6, 3.0, -3.0])
+def test_a_camera_above_the_origin_of_the_level_frame_finds_the_same_ground(method, height, up):
+    """With the origin on the ground (1.6), below it (3.0), or high above (-3.0); y points down."""
+    if method == "no_depth" and height is None:
+        pytest.skip("nothing tells the ground")
+    depth, xyxy = block((-2.0, 0.85, 12.0), yaw=0.4)
+    place = np.array([0.0, -up, 1.5])
+    here, there = (
+        BoxLifter(method, depth_sigma=0.1, camera_height=height)(depth, detection(xyxy), camera)
+        for camera in (CAMERA, PinholeCamera(CAMERA.intrinsics, translation=place))
+    )
+    np.testing.assert_allclose(there.center[0] - place, here.center[0], atol=1e-3)
+    np.testing.assert_allclose(there.quality["cost"], here.quality["cost"], atol=1e-3)
+
+
 def test_the_paper_method_is_the_mean_of_the_extents():
     """Equations 1 to 3 by hand."""
     depth = np.zeros((60, 80))
