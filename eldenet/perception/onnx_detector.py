@@ -199,7 +199,7 @@ class OnnxDetector:
         if len(shape) == 4 and shape[2:] == [height // 16, width // 16]:
             return "fastestdet"
         if len(shape) == 3:
-            if shape[2] == 6 and shape[1] != anchors:
+            if shape[2] == 6 and shape[1] not in (anchors, 3 * anchors):  # three a cell: YOLOv5 of one class
                 return "nms"
             if shape[1] == anchors and (shape[2] or 0) > 5:
                 return "yolox"

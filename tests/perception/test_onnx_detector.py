@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from onnx import TensorProto
-from support.detector_files import FILES, FRAME, NAMES, WANTED, save, yolov8
+from support.detector_files import ANCHORS, FILES, FRAME, NAMES, WANTED, save, yolov8
 
 from eldenet.perception.detectors import COCO_NAMES, Detector
 from eldenet.perception.onnx_detector import OnnxDetector
@@ -49,10 +49,12 @@ def test_every_layout_gets_its_color_order(layout, tmp_path):
 
 def test_unknown_layouts_sizes_and_names_are_refused(tmp_path):
     save(tmp_path / "odd.onnx", np.zeros((1, 17)), {})
+    save(tmp_path / "yolov5.onnx", np.zeros((1, 3 * ANCHORS, 6)), {"names": "['cat']"})  # six columns
     nameless = save(tmp_path / "nameless.onnx", yolov8(), {})
     (tmp_path / "text.onnx").write_text("no model")
     for file, options, message in (
         ("odd", {}, "layout="),
+        ("yolov5", {}, "no layout"),
         ("nameless", {}, "names="),
         ("nameless", {"names": NAMES[:2]}, "3 classes, but 2 names"),
         ("nameless", {"names": NAMES, "input_size": (32, 32)}, "input_size"),
