@@ -128,6 +128,12 @@ class BoxLifter:
         count = len(detections)
         if not count:
             return Boxes3D.empty(detections.names)
+        mask = detections.mask
+        if mask is not None and (mask.shape != (count, height, width) or mask.dtype != bool):
+            raise ValueError(
+                f"mask of shape {mask.shape} and type {mask.dtype}: give bool {(count, height, width)}, one "
+                "map a box in the size of the depth"
+            )
         reach = detections.xyxy[:, 2:].max(0)
         ends = np.array([width - 0.5, height - 0.5])
         inside = np.clip(detections.xyxy, -0.5, np.tile(ends, 2))

@@ -308,6 +308,10 @@ def test_masks_are_used_instead_of_boxes():
     hidden = replace(detection(box_far), mask=visible[None])
     boxes = BoxLifter(depth_sigma=0.02)(depth, hidden, CAMERA)
     assert boxes.center[0, 2] == pytest.approx(17, abs=1.2)
+    twice = visible.repeat(2, axis=0).repeat(2, axis=1)
+    for wrong in (twice[None], visible[None, ::2, ::2], visible[None].astype(np.float32)):
+        with pytest.raises(ValueError, match=r"mask of .*: give bool .*size of the depth"):
+            BoxLifter()(depth, replace(hidden, mask=wrong), CAMERA)
 
 
 @pytest.mark.parametrize(
