@@ -86,6 +86,11 @@ class BoxLifter:
         for name, sigma in (("depth_sigma", self.depth_sigma), ("small_sigma", self.small_sigma)):
             if sigma is not None and not 0 < sigma < 1:
                 raise ValueError(f"{name}={sigma}: give a relative error above 0 and below 1, such as 0.08")
+        if self.small_sigma is not None and self.depth_sigma is None:
+            raise ValueError(
+                f"small_sigma={self.small_sigma} without depth_sigma: give both, the errors of objects of "
+                f"{SMALL_SIDE:g} and of {LARGE_SIDE:g} pixels"
+            )
 
     def sigma_of(self, depth: np.ndarray) -> tuple[float, float | None]:
         """``depth_sigma`` and ``small_sigma`` for a map ``(H, W)`` [m] without sigma."""

@@ -321,6 +321,7 @@ def test_masks_are_used_instead_of_boxes():
         ({"camera_height": 0}, "camera_height"),
         ({"depth_sigma": 0}, "depth_sigma"),
         ({"small_sigma": 1.5}, "small_sigma"),
+        ({"small_sigma": 0.3}, "small_sigma=0.3 without depth_sigma: give both"),
     ],
 )
 def test_settings_out_of_range_are_refused(options, message):
