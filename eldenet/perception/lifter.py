@@ -198,11 +198,11 @@ class BoxLifter:
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),
         }
         if estimate.distribution is not None and self.method != "no_depth":
-            distance = np.hypot(raw.center[:, 0], raw.center[:, 2])
-            interval = DepthEstimate(distance, distance * sigma, estimate.distribution).interval(
-                DISTANCE_LEVEL
-            )
-            quality |= dict(zip(("distance_low", "distance_high"), interval, strict=True))
+            factors = DepthEstimate(np.ones(count), sigma, estimate.distribution).interval(DISTANCE_LEVEL)
+            eye = camera.translation
+            for name, factor in zip(("distance_low", "distance_high"), factors, strict=True):
+                end = eye + factor[:, None] * (raw.center - eye)  # depth moves a box along its line of sight
+                quality[name] = np.hypot(end[:, 0], end[:, 2])
         return Boxes3D(
             raw.center, raw.size, wrap_half(raw.yaw), detections.score, detections.label, detections.names,
             quality, detections.track_id,

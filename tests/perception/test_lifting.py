@@ -370,6 +370,16 @@ def test_sigma_sets_the_interval_of_a_distance():
         BoxLifter(depth_sigma=0.1)(estimate, detection(xyxy), CAMERA)
 
 
+def test_the_interval_is_of_the_depth_from_the_camera_not_from_the_origin():
+    depth, xyxy = block((0.0, 0.85, 12.0))
+    estimate = DepthEstimate(depth, 0.1 * depth, "laplace")
+    here, there = (
+        BoxLifter()(estimate, detection(xyxy), PinholeCamera(CAMERA.intrinsics, translation=np.array(place)))
+        for place in ((0.0, 0.0, 0.0), (0.0, -1.6, -6.0))
+    )
+    assert there[0].interval == pytest.approx(np.array(here[0].interval) - 6, abs=0.05)
+
+
 def test_intervals_of_distances_hold_their_share_of_objects():
     """The depth of each object is wrong by one factor, drawn from the distribution that sigma states."""
     center, spread, rng = (0.0, 0.85, 12.0), 0.15, np.random.default_rng(0)
