@@ -53,8 +53,8 @@ PRIORS: Mapping[str, ClassPrior] = {
 
 
 def prior_of(name: str, priors: Mapping[str, ClassPrior] = PRIORS) -> ClassPrior | None:
-    """The prior of a class by name, in upper or lower case; None for an unknown class."""
-    return priors.get(name.lower())
+    """The prior of a class, or None; upper and lower case are the same name, whose last entry counts."""
+    return {key.lower(): prior for key, prior in priors.items()}.get(name.lower())
 
 
 def silhouette(shape: Shape, style: BoxStyle) -> np.ndarray:

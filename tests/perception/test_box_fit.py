@@ -1,5 +1,7 @@
 """The derivatives of the fit, and the class priors."""
 
+from dataclasses import replace
+
 import numpy as np
 from support.blocks import CAMERA
 
@@ -36,6 +38,9 @@ def test_the_gradient_is_the_derivative_of_the_cost():
 def test_priors_are_found_by_name_in_upper_and_lower_case():
     assert prior_of("Car") is prior_of("car") is PRIORS["car"]
     assert prior_of("gizmo") is None
+    own = replace(PRIORS["car"], size=(3.6, 1.6, 1.5))
+    assert prior_of("Pallet", PRIORS | {"Pallet": own}) is prior_of("pallet", {"Pallet": own}) is own
+    assert prior_of("Car", PRIORS | {"Car": own}) is own
     for shape in ("vehicle", "upright", "box"):
         for style in ("tight", "projected"):
             assert np.abs(silhouette(shape, style)).max() == 0.5
