@@ -168,6 +168,12 @@ class BoxTracker:
         measured = np.array([*boxes.center[index], boxes.yaw[index], *boxes.size[index]])
         measured[3] = track.mean[3] + wrap_half(measured[3] - track.mean[3])
         noise = self._noise(float(np.linalg.norm(boxes.center[index])))
+        # the same box with length and width swapped, a quarter turn away: a square one is found either way
+        turned = measured[[0, 1, 2, 3, 5, 4, 6]]
+        turned[3] -= np.copysign(np.pi / 2, measured[3] - track.mean[3])
+        either = np.stack([measured, turned])
+        surprise = ((either - track.mean[:_MEASURED]) ** 2 / np.diag(noise)).sum(1)
+        measured = either[surprise.argmin()]
         gain = track.covariance[:, :_MEASURED] @ np.linalg.inv(
             track.covariance[:_MEASURED, :_MEASURED] + noise
         )

@@ -29,6 +29,19 @@ def test_two_cars_keep_their_identities_and_get_their_velocities():
     assert heading[second, 1] < -0.95
 
 
+@pytest.mark.parametrize(("length", "width"), [(1.02, 1.0), (4.0, 1.6)])
+def test_quarter_turns_of_a_square_box_are_not_averaged(length, width):
+    """Which side of a crate counts as its length changes from frame to frame; a car's does not."""
+    tracker = BoxTracker()
+    for frame in range(20):
+        turn = frame % 2 if length < 2 else 0
+        seen = boxes([0.0, 0.5, 8.0], yaw=0.1 + turn * np.pi / 2)
+        found = tracker(replace(seen, size=np.array([[length, width, 1.0]])), 0.1)
+    assert found.yaw[0] == pytest.approx(0.1, abs=0.02)
+    wrong = replace(seen, yaw=np.array([0.1 + np.pi / 2]), size=np.array([[length, width, 1.0]]))
+    assert tracker(wrong, 0.1).size[0, 0] == pytest.approx(length, abs=0.03)
+
+
 @pytest.mark.parametrize("still_camera", [False, True])
 def test_a_parked_car_is_not_turned_round_by_a_camera_that_drives(still_camera):
     """It faces away from the camera (yaw -pi/2) and comes closer by 10 m/s."""
