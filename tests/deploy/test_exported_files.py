@@ -15,6 +15,7 @@ from eldenet.deploy.metadata import describe
 from eldenet.deploy.onnx_export import CameraNet, write_onnx
 from eldenet.deploy.openvino_export import write_openvino
 from eldenet.deploy.runtimes.module import RuntimeNetwork, measure_runtime_cost
+from eldenet.evaluation.cost import count_macs
 from eldenet.export import map_errors
 from eldenet.geometry import resize_image
 
@@ -79,6 +80,17 @@ def test_a_file_of_a_fixed_batch_is_scored_at_that_batch(
     assert cost.throughput_img_s > 0
     assert math.isnan(cost.latency_ms_p50)  # the file does not take one image
     assert math.isnan(cost.latency_ms_p95)
+
+
+def test_a_file_of_any_size_states_its_multiply_adds_for_one_size(trained_model, tmp_path: Path) -> None:
+    facts = describe(trained_model, "eldenet_s", SIZE)
+    network = runtimes.load(
+        write_onnx(trained_model, tmp_path / "any.onnx", SIZE, any_size=True, metadata=facts), threads=1
+    )
+    assert measure_runtime_cost(network, SIZE).gmacs == pytest.approx(
+        count_macs(trained_model, SIZE) / 1e9, rel=1e-5
+    )
+    assert math.isnan(measure_runtime_cost(network, (SIZE[0] * 2, SIZE[1])).gmacs)
 
 
 def test_an_opset_that_cannot_express_a_network_is_refused_in_one_line(tmp_path: Path, capfd) -> None:

@@ -60,7 +60,8 @@ class RuntimeNetwork(nn.Module):
 def measure_runtime_cost(network: Runtime, size: tuple[int, int]) -> CostReport:
     """Cost as by :func:`eldenet.evaluation.cost.measure_cost`, with the counts that the file states.
 
-    A file of a fixed batch is timed at that batch; unless it is 1, the latency of one image is NaN.
+    A file of a fixed batch is timed at that batch; unless it is 1, the latency of one image is NaN. A file of
+    any size states the multiply-adds of one; at another they are NaN.
     """
     one, batch = network.fixed_batch or 1, network.fixed_batch or 8
     calls = {}
@@ -69,7 +70,9 @@ def measure_runtime_cost(network: Runtime, size: tuple[int, int]) -> CostReport:
         calls[name] = lambda images=images: network.run_prepared(images)
     with torch.inference_mode(), Waiting() as waiting:
         times = time_interleaved(calls, synchronize=network.synchronize)
-    gmacs = math.nan if network.gmacs is None else network.gmacs
+    gmacs = math.nan
+    if network.gmacs is not None and network.info.get("input_size") == tuple(size):
+        gmacs = network.gmacs
     of_one = times["one"] if one == 1 else [math.nan]
     return CostReport(
         params=int(network.params or 0),
