@@ -26,6 +26,7 @@ from eldenet.uncertainty import DepthEstimate
 from eldenet.weights.model_card import MARK, model_card, summary
 
 CONFIG_NAME, WEIGHTS_NAME, CARD_NAME = "config.json", "model.safetensors", "README.md"
+SIZES = ("input_size", "whole_frame_size")  # entries of info
 
 
 class EncoderDecoder(Configurable, nn.Module):
@@ -211,8 +212,8 @@ class DepthNet(Configurable, nn.Module):
                 network that is loaded again computes in fp32.
 
         Raises:
-            ValueError: a part of the network is not :class:`Configurable`, ``info`` holds other values, or
-                fp16 cannot hold a parameter.
+            ValueError: a part of the network is not :class:`Configurable`, ``info`` holds other values,
+                NaN or a wrong size, or fp16 cannot hold a parameter.
         """
         from safetensors.torch import save
 
@@ -227,15 +228,18 @@ class DepthNet(Configurable, nn.Module):
                 "model": self.config | parts,
                 "info": merge_info(self.info, info or {}),
             }
-            json.dumps(config)
-        except TypeError as error:
+            json.dumps(config, allow_nan=False)
+        except (TypeError, ValueError) as error:
             raise ValueError(
                 f"cannot save this model: {error}. Its parts must subclass Configurable, and their arguments "
                 "and info must be plain values"
             ) from error
+        for name in SIZES:
+            check_size(f"{name} of info", config["info"].get(name))
         parameters = {name for name, _ in self.named_parameters()} if half else set()
         state = {
-            name: (value.half() if name in parameters else value).detach().cpu().contiguous()
+            # a copy: safetensors refuses parameters that two parts share
+            name: (value.half() if name in parameters else value).detach().cpu().clone().contiguous()
             for name, value in self.state_dict().items()
         }
         lost = [name for name in sorted(parameters) if not state[name].isfinite().all()]
@@ -379,7 +383,7 @@ def _read_config(folder: Path) -> dict[str, Any]:
     check_digests(config, path, folder / WEIGHTS_NAME)
     if not isinstance(config.get("info"), dict):
         config["info"] = {}
-    for name in ("input_size", "whole_frame_size"):
+    for name in SIZES:
         check_size(f"{path}: {name} of info", config["info"].get(name))
     return config
 

@@ -17,7 +17,7 @@ from eldenet.backbones.resnet import ResNet
 from eldenet.backbones.timm import TimmBackbone
 from eldenet.backbones.vgg import VGG16
 from eldenet.compose import compose
-from eldenet.configurable import build
+from eldenet.configurable import Configurable, build
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.multi_kernel import MultiKernelDecoder
 from eldenet.decoders.upconv import UpConvDecoder
@@ -147,7 +147,29 @@ def test_a_model_that_cannot_be_rebuilt_is_not_saved(tmp_path: Path) -> None:
         model.save_pretrained(tmp_path / "model")
     with pytest.raises(ValueError, match="info"):
         small_net().save_pretrained(tmp_path / "model", info={"when": object()})
+    with pytest.raises(ValueError, match="JSON compliant"):  # reading refuses NaN
+        small_net().save_pretrained(tmp_path / "model", info={"test": {"delta1": float("nan")}})
+    with pytest.raises(ValueError, match=r"input_size of info='64x96': give \[height, width\]"):
+        small_net().save_pretrained(tmp_path / "model", info={"input_size": "64x96"})
     assert not (tmp_path / "model").exists()
+
+
+class Shared(Configurable, nn.Module):
+    """A user's network that uses one weight twice."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.first, self.second, self.out = (nn.Conv2d(3, count, 1) for count in (3, 3, 1))
+        self.second.weight = self.first.weight
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return self.out(self.second(self.first(image).relu()))
+
+
+def test_a_network_with_a_shared_weight_is_saved_and_read_back(tmp_path: Path) -> None:
+    model = DepthNet(Shared(), LinearHead())
+    model.save_pretrained(tmp_path / "model")
+    assert same_model(eldenet.load(tmp_path / "model", trusted_modules=[__name__]), model)
 
 
 class Wide(FastUpConvDecoder):
