@@ -2,7 +2,6 @@
 
 import threading
 import warnings
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -189,10 +188,8 @@ def _named(source: Any) -> list[tuple[str, Any]]:
         file = getattr(source, "filename", "")  # of a PIL picture
         return [(Path(file).stem if isinstance(file, str) and file else "picture", source)]
     named = [pair for each in source for pair in _named(each)]
-    often = Counter(name for name, _ in named)
-    return [
-        (f"{name}_{number}" if often[name] > 1 else name, each) for number, (name, each) in enumerate(named)
-    ]
+    alike = len({name for name, _ in named}) < len(named)
+    return [(f"{name}_{number}" if alike else name, each) for number, (name, each) in enumerate(named)]
 
 
 def _read(picture: Any) -> tuple[np.ndarray, Path | Image.Image | None]:

@@ -80,6 +80,12 @@ def test_every_form_of_a_picture_gives_the_same_depth(small: Path, tmp_path: Pat
     assert in_folder[1].save(tmp_path / "out", "color") == [tmp_path / "out/b/c_color.png"]
 
 
+def test_no_two_results_of_a_list_share_a_name(small: Path, tmp_path: Path) -> None:
+    files = [save(tmp_path / name, photo()) for name in ("one/a.png", "two/a.png", "two/a_1.png")]
+    names = [each.name for each in eldenet.estimate(files, small, fov=60)]
+    assert len(set(names)) == 3, names
+
+
 def test_a_result_keeps_its_photo_where_a_camera_fills_one_array_again_and_again(small: Path) -> None:
     frame = photo()
     result = eldenet.estimate(frame, small, fov=60)
