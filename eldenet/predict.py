@@ -313,9 +313,9 @@ def open_predictor(
         if s.engine in ("auto", "torch"):
             device = resources.device
         else:
-            network = runtimes.load(
-                model, s.engine, threads=resources.threads, device=resources.device, size=size
-            )
+            # any size, as under torch; where the model states none, the graph is made at this one
+            model.info = {"input_size": size} | model.info
+            network = runtimes.load(model, s.engine, threads=resources.threads, device=resources.device)
     if license:
         log.say(f"license of the weights: {license}")
     if "sigma" in formats and network.distribution is None:

@@ -249,6 +249,19 @@ def test_auto_device_means_the_cpu_outside_torch(
     assert predictor(photo()).shape == (48, 64)
 
 
+@pytest.mark.parametrize("info", [{"input_size": [64, 96]}, {}])
+def test_another_input_size_shows_a_runtime_what_torch_sees(tmp_path: Path, info: dict[str, Any]) -> None:
+    pytest.importorskip("onnxruntime")
+    folder = light_net().save_pretrained(tmp_path / "model", info=info)
+    depth = []
+    for engine in ("torch", "onnxruntime"):
+        words = ["sharp=false", "input_size=[32,64]", f"engine={engine}"]
+        asked = settings(folder, tmp_path / "a.png", tmp_path / "out", *words)
+        predictor = open_predictor(asked, RunLog(tmp_path, quiet=True))
+        depth.append(predictor(photo(72, 128)))
+    np.testing.assert_allclose(depth[1], depth[0], rtol=1e-3)
+
+
 def test_the_command_writes_below_runs_and_fails_with_one_line(
     model_folder: Path, tmp_path: Path, run_command
 ) -> None:
