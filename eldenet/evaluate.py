@@ -79,6 +79,7 @@ def evaluate(s: EvaluateSettings) -> dict[str, Any]:
     from eldenet.results.run_log import RunLog, untrained_note
     from eldenet.results.score import score
     from eldenet.results.tables import closing_table
+    from eldenet.training.notes import collapse
 
     resources = choose_resources(**s.runtime)
     protocol = chosen_protocol(s.data, s.protocol)
@@ -88,19 +89,17 @@ def evaluate(s: EvaluateSettings) -> dict[str, Any]:
     if checkpoint.kind == "network":
         log.say(untrained_note(s.checkpoint))
     size = chosen_size(s, protocol, model, log)
-    if (
-        model.canonical_px is not None
-        and not at_training_size(s, model)
-        and (name := without_lens(s, protocol))
-    ):
-        log.say(
-            f"note: frames such as {name} have no intrinsics, and their meters are only right at the size of "
-            "the training: give data.intrinsics, or input_size=model"
-        )
+    if model.canonical_px is not None and (name := without_lens(s, protocol)):
+        what, advice = "for the lens of the training", "give data.intrinsics"
+        if not at_training_size(s, model):
+            what, advice = f"{what} and at its size", f"{advice}, or input_size=model"
+        log.say(f"note: frames such as {name} have no intrinsics, so meters are only right {what}: {advice}")
     if s.calibrated is not None:
         calibrate(s, Path(s.calibrated).expanduser(), protocol, resources, model, size, log)
     record = score(model, asdict(s), protocol, resources, log, input_size=size, measure=_measure)
     closing_table(log, record)
+    if line := collapse(record):
+        log.say(line)
     return record
 
 

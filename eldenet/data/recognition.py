@@ -330,9 +330,8 @@ def _describe(
             turns = [{"rotate_depth": 90}, {"rotate_depth": 270}]
             found.facts.append("depth is turned by 90 degrees; which way, the contact sheet shows")
     seen = size_of_aspect(INPUT_SIZE, (size[0], size[1]))
-    if seen != INPUT_SIZE or seen[0] > size[0]:  # small pictures are not enlarged
-        tiles = [max(1, min(round(n / 32), most // 32)) for n, most in zip(seen, size, strict=True)]
-        settings["input_size"] = f"[{32 * tiles[0]},{32 * tiles[1]}]"
+    if seen != INPUT_SIZE or seen[0] > size[0]:
+        settings["input_size"] = "[{},{}]".format(*_in_tiles(seen, size))
     stated = stated_scale(folder / settings["csv"]) if "csv" in settings else None
     units = _units(raws, stated)
     if known and stated is None:
@@ -450,6 +449,19 @@ def _known_numbers(raw: np.ndarray) -> np.ndarray:
 def _kind_of(raw: np.ndarray) -> str:
     """The type of the numbers, as an encoding names it."""
     return "float" if raw.dtype.kind == "f" else "uint8" if raw.dtype == np.uint8 else "uint16"
+
+
+def _in_tiles(seen: tuple[int, int], most: Sequence[int]) -> tuple[int, int]:
+    """``(height, width)`` [px] of whole tiles of 32 with about the shape and the pixels of ``seen``."""
+    sides = [range(32, max(side, 32) + 1, 32) for side in most[:2]]
+    if sides[0][-1] * sides[1][-1] < 0.7 * seen[0] * seen[1]:
+        return sides[0][-1], sides[1][-1]  # small pictures are not enlarged
+
+    def cost(size: tuple[int, int]) -> float:
+        high, wide = (math.log(new / old) for new, old in zip(size, seen, strict=True))
+        return abs(wide - high) + 0.1 * abs(wide + high)
+
+    return min(product(*sides), key=cost)
 
 
 def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, dict[str, Any]]]:

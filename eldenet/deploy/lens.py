@@ -133,7 +133,7 @@ class Lens:
             lines.append(f"camera: {'; '.join(parts)}" + (f"; {more} more" if more else ""))
         elif self.known_fov is not None:
             lines.append(f"camera: fov {self.known_fov:g} degrees, which the file was exported for")
-        elif self.given:
+        else:
             lines.append(f"note: {NO_FOCAL}")
         if points and self.centered:
             assumed = "points and boxes assume fy = fx and the principal point in the picture's center"

@@ -217,6 +217,8 @@ class DepthPredictor:
             filled[top:bottom, left:right] = image
             image = filled
         if camera is None and size != self.input_size:
+            above, before = (-side % GRID // 2 for side in size)
+            top, bottom, left, right = top + above, bottom + above, left + before, right + before
             image = padded(image)
         lens = None if focal is None else focal * (right - left) / width
         if isinstance(self.model, Runtime):
@@ -272,14 +274,15 @@ def as_image(frame: np.ndarray) -> np.ndarray:
 
 
 def padded(image: np.ndarray) -> np.ndarray:
-    """Repeat the last row and column of ``(H, W, 3)`` until both sides are multiples of ``GRID``.
+    """Repeat the rows and columns at the edges of ``(H, W, 3)`` until both sides are multiples of ``GRID``.
 
-    Networks round odd sizes up, which makes the depth of the last rows wrong.
+    Networks round odd sizes up, which makes the depth of the last rows wrong. The lens stays in the center.
     """
     import cv2
 
-    down, right = -image.shape[0] % GRID, -image.shape[1] % GRID
-    return np.asarray(cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE))
+    down, across = -image.shape[0] % GRID, -image.shape[1] % GRID
+    margins = down // 2, down - down // 2, across // 2, across - across // 2
+    return np.asarray(cv2.copyMakeBorder(image, *margins, cv2.BORDER_REPLICATE))
 
 
 def enlarged(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -49,8 +49,8 @@ def predict_depth(
     """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``; "mean" averages with the mirror image's.
 
     ``focal (B,)`` is fx [px of ``image``], 0 where unknown; models without ``canonical_px`` ignore it.
-    ``pad`` repeats the last row and column until both sides are multiples of ``GRID``, as ``predict`` does
-    with frames of another shape than the training's.
+    ``pad`` repeats the rows and columns at the edges until both sides are multiples of ``GRID``, as
+    ``predict`` does with frames of another shape than the training's.
     """
     return _maps(model, image, focal, flip, pad)[0]
 
@@ -79,8 +79,11 @@ def _maps(
 ) -> list[Tensor]:
     """What ``model`` answers, one map or several."""
     height, width = image.shape[-2:]
+    top = left = 0
     if pad:
-        image = F.pad(image, (0, -width % GRID, 0, -height % GRID), mode="replicate")
+        down, across = -height % GRID, -width % GRID
+        top, left = down // 2, across // 2
+        image = F.pad(image, (left, across - left, top, down - top), mode="replicate")
 
     def run(picture: Tensor) -> list[Tensor]:
         found = model(picture, *_camera(model, focal), **options)
@@ -89,7 +92,7 @@ def _maps(
     maps = run(image)
     if flip == "mean":
         maps = [0.5 * (one + other.flip(-1)) for one, other in zip(maps, run(image.flip(-1)), strict=True)]
-    return [each[..., :height, :width] for each in maps]
+    return [each[..., top : top + height, left : left + width] for each in maps]
 
 
 def _camera(model: nn.Module, focal: Tensor | None) -> tuple[Tensor, ...]:

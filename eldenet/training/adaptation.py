@@ -189,10 +189,10 @@ def refuse_unfit(frames: DepthDataset, held_out: DepthDataset) -> list[int]:
     if not known or found < LEAST_FRAMES or len(of_held_out) < LEAST_HELD_OUT:
         raise ValueError(
             f"{len(known)} training frames and {len(of_held_out)} held-out frames have a known depth at "
-            f"{LEAST_PIXELS} pixels or more: {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed. "
-            "A few known distances do not calibrate a camera, because the error of the depth differs from "
-            "image to image. Record a few hundred frames or a longer drive, or give camera_height= and "
-            "source= alone"
+            f"{LEAST_PIXELS} pixels or more: {LEAST_FRAMES} in all and {LEAST_HELD_OUT} held out are needed, "
+            "without those that data.gap leaves out beside held-out blocks. A few known distances do not "
+            "calibrate a camera, because the error of the depth differs from image to image. Record a few "
+            "hundred frames or a longer drive, or give camera_height= and source= alone"
         )
     refuse_copies(list(of_held_out.values()), list(seen.values()))
     return known

@@ -64,7 +64,7 @@ def after(splits: Splits, trainer: Trainer, record: Mapping[str, Any]) -> Iterat
             "so the scores are a little too good"
         )
     if line := collapse(record):
-        yield line
+        yield f"{line}. Try a lower optimizer.lr, more trainer.epochs, or trainer.max_grad_norm=1"
 
 
 def collapse(record: Mapping[str, Any]) -> str:
@@ -77,8 +77,7 @@ def collapse(record: Mapping[str, Any]) -> str:
     return (
         f"warning: the network is worse than a constant depth map (delta1 {found['delta1']:.3f} and AbsRel "
         f"{found['abs_rel']:.3f}; the map: {constant['delta1']:.3f} and {constant['abs_rel']:.3f}): it has "
-        "learned nothing that holds on these frames. Try a lower optimizer.lr, more trainer.epochs, or "
-        "trainer.max_grad_norm=1"
+        "learned nothing that holds on these frames"
     )
 
 

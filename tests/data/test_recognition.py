@@ -199,7 +199,13 @@ def test_a_list_with_a_wrong_line_is_explained(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("size", "input_size"),
-    [((360, 640), "[192,384]"), ((100, 178), "[96,160]"), ((120, 160), "[96,160]"), ((480, 640), "")],
+    [
+        ((360, 640), "[192,352]"),
+        ((320, 480), "[256,384]"),
+        ((100, 178), "[96,160]"),
+        ((120, 160), "[96,160]"),
+        ((480, 640), ""),
+    ],
 )
 def test_far_depth_and_another_size_are_in_the_line(
     size: tuple[int, int], input_size: str, tmp_path: Path

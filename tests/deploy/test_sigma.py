@@ -104,7 +104,7 @@ def test_predict_writes_sigma_and_pales_what_it_does_not_know(
     estimate = DepthPredictor(model, steady=False, sharp=True, uncertainty=True)(photo())
     np.testing.assert_allclose(read[2] / 1000, estimate.sigma, atol=6e-4)
     assert read[2].dtype == np.uint16
-    panel = read[0][:, 5 * 64 + 4 : 2 * 5 * 64 + 4]  # right of the photo; small photos are enlarged
+    panel = read[0][-5 * 48 :, 5 * 64 + 4 : 2 * 5 * 64 + 4]  # below its title; small photos are enlarged
     pale = (panel >= PALE).all(-1)
     share = estimate.unsure.mean()
     assert 0.05 < share < 0.95

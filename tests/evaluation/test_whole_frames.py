@@ -187,19 +187,26 @@ def test_frames_of_another_shape_are_scored_as_they_are_predicted(
 
 
 @pytest.mark.parametrize(
-    ("words", "noted"), [(["input_size=[64,128]"], True), (["input_size=[32,64]"], False), ([], False)]
+    ("words", "noted"),
+    [
+        (["input_size=[64,128]"], " and at its size: give data.intrinsics, or input_size=model"),
+        (["input_size=[32,64]"], ": give data.intrinsics"),
+        ([], ": give data.intrinsics"),
+        (["data.intrinsics=[50,50,31.5,15.5]"], None),
+    ],
 )
-def test_meters_of_an_unknown_lens_are_only_right_at_the_size_of_the_training(
-    words: list[str], noted: bool, tmp_path: Path, capsys
+def test_evaluate_says_for_which_lens_the_meters_are_right(
+    words: list[str], noted: str | None, tmp_path: Path, capsys
 ) -> None:
     canonical_net(32, 64).save_pretrained(tmp_path / "model")
     tree = layouts.folder(tmp_path / "frames", layouts.content((32, 64)), count=2)
     given = [f"checkpoint={tmp_path}/model", "data=folder", f"data.root={tree}", "data.test_split=all"]
     evaluate(compose(EvaluateSettings, [*given, "runtime.workers=0", f"output={tmp_path}/scores", *words]))
     said = " ".join(capsys.readouterr().out.split())
-    assert (
-        "have no intrinsics, and their meters are only right at the size of the training" in said
-    ) == noted
+    if noted is None:
+        assert "intrinsics" not in said
+    else:
+        assert f"meters are only right for the lens of the training{noted}" in said
 
 
 def test_a_file_of_one_size_is_not_scored_on_frames_that_it_would_squeeze(tmp_path: Path) -> None:
