@@ -234,7 +234,7 @@ def _beside(
     row = _joined([*pieces, scale(height)], _blank(height, 4), axis=1)
     if titles:
         size = min([_letters(height), *(0.95 * width / _length(title) for title in titles)])
-        strip = _blank(round(30 * size) + 6, row.shape[1])
+        strip = _blank(2 * round(15 * size) + 6, row.shape[1])
         for number, title in enumerate(titles):
             _write(strip, title, (number * (width + 4) + 2, round(22 * size) + 3), size)
         row = np.concatenate([strip, row])
