@@ -453,15 +453,15 @@ def _kind_of(raw: np.ndarray) -> str:
 
 def _in_tiles(seen: tuple[int, int], most: Sequence[int]) -> tuple[int, int]:
     """``(height, width)`` [px] of whole tiles of 32 with about the shape and the pixels of ``seen``."""
-    sides = [range(32, max(side, 32) + 1, 32) for side in most[:2]]
-    if sides[0][-1] * sides[1][-1] < 0.7 * seen[0] * seen[1]:
-        return sides[0][-1], sides[1][-1]  # small pictures are not enlarged
+    rows, columns = (range(32, max(side, 32) + 1, 32) for side in most[:2])
+    if rows[-1] * columns[-1] < 0.7 * seen[0] * seen[1]:
+        return rows[-1], columns[-1]  # small pictures are not enlarged
 
     def cost(size: tuple[int, int]) -> float:
         high, wide = (math.log(new / old) for new, old in zip(size, seen, strict=True))
         return abs(wide - high) + 0.1 * abs(wide + high)
 
-    return min(product(*sides), key=cost)
+    return min(product(rows, columns), key=cost)
 
 
 def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, dict[str, Any]]]:

@@ -56,13 +56,15 @@ def notes_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Notes below a table: machine, versions, how it was measured, what other jobs spoiled, what failed."""
     from eldenet.results.tables import BUSY
 
-    notes = []
+    notes, compared = [], any(row.get("ratio_latency") is not None for row in rows)
     for row in rows:
         versions = ", ".join(f"{name} {version}" for name, version in row["versions"].items() if version)
         notes.append(f"{row['processor']}, {row['cores']} cores; {versions}")
         notes.append(
             f"latency: median of one call, {row['rounds']} interleaved rounds of {row['seconds']} s for each "
-            f"row; ratio_latency to {row['reference']}, fp32, in the same rounds; 1 MAC = 2 FLOPs"
+            "row; "
+            + f"ratio_latency to {row['reference']}, fp32, in the same rounds; " * compared
+            + "1 MAC = 2 FLOPs"
         )
         notes.append(f"made by `{row['command']}`")
     notes.append(
