@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support.networks import small_net
 from support.scoring import assert_same
 from support.synthetic import SyntheticDepth
 from support.training import PROTOCOL
 from torch import Tensor, nn
 
 from eldenet.data.loaders import collate, evaluation_loader
+from eldenet.deploy.predictor import DepthPredictor
 from eldenet.evaluation.constant_baseline import ConstantPredictor
-from eldenet.evaluation.evaluator import evaluate
+from eldenet.evaluation.evaluator import evaluate, predict_depth
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.types import Frame
@@ -38,6 +40,22 @@ class Leaning(nn.Module):
     def forward(self, image: Tensor) -> Tensor:
         ramp = torch.linspace(1, 9, image.shape[-1]).expand(len(image), 1, image.shape[-2], -1)
         return ramp * self.scale + image.mean(dim=1, keepdim=True)
+
+
+def test_the_lens_stays_in_the_center_of_what_a_network_sees() -> None:
+    """``predict`` and ``evaluate`` extend both sides of pictures whose sides are no multiples of 16."""
+
+    def from_center(image: Tensor, _: object = None) -> Tensor:
+        rows, columns = (torch.arange(side) - (side - 1) / 2 for side in image.shape[-2:])
+        return 1 + rows[:, None].abs() + columns.abs().expand(len(image), 1, 1, -1)
+
+    model = small_net()
+    model.forward = from_center
+    predicted = torch.from_numpy(DepthPredictor(model)(np.zeros((24, 40, 3), np.uint8)))
+    assert len(predicted) == 24
+    for depth in (predicted, predict_depth(model, torch.zeros(1, 3, 24, 40), pad=True)[0, 0]):
+        torch.testing.assert_close(depth, depth.flip(0))
+        torch.testing.assert_close(depth, depth.flip(1))
 
 
 def test_each_frame_is_scored_once_at_the_size_of_the_ground_truth() -> None:
