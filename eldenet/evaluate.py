@@ -89,17 +89,18 @@ def evaluate(s: EvaluateSettings) -> dict[str, Any]:
     if checkpoint.kind == "network":
         log.say(untrained_note(s.checkpoint))
     size = chosen_size(s, protocol, model, log)
-    if model.canonical_px is not None and (name := without_lens(s, protocol)):
+    takes_lens = model.canonical_px is not None and protocol.scale == "metric"
+    if takes_lens and (name := without_lens(s, protocol)):
         what, advice = "for the lens of the training", "give data.intrinsics"
         if not at_training_size(s, model):
-            what, advice = f"{what} and at its size", f"{advice}, or input_size=model"
+            what, advice = f"{what} and at its size", f"{advice}, and else input_size=model"
         log.say(f"note: frames such as {name} have no intrinsics, so meters are only right {what}: {advice}")
     if s.calibrated is not None:
         calibrate(s, Path(s.calibrated).expanduser(), protocol, resources, model, size, log)
     record = score(model, asdict(s), protocol, resources, log, input_size=size, measure=_measure)
-    closing_table(log, record)
     if line := collapse(record):
         log.say(line)
+    closing_table(log, record)
     return record
 
 

@@ -211,7 +211,7 @@ def compare_with_torch(
     height, width = target.size
     # at any size also upright pictures, and those whose sides, halved and rounded down or up, stay odd
     odd = (height - height % 32 + 31, width - width % 32 + 33)
-    each = ([target.size] + [(width, height), odd] * target.any_size) * len(pictures)
+    each = ([target.size] + [odd, (width, height)] * target.any_size) * len(pictures)
     sizes = [s.camera or size for size in each[: len(pictures)]]
     seen = [resize_image(picture, size) for picture, size in zip(pictures, sizes, strict=True)]
     outputs = ("depth",) if model.distribution is None else ("depth", "sigma")

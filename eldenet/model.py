@@ -236,7 +236,7 @@ class DepthNet(Configurable, nn.Module):
             ) from error
         for name in SIZES:
             check_size(f"{name} of info", config["info"].get(name))
-        parameters = {name for name, _ in self.named_parameters()} if half else set()
+        parameters = {name for name, _ in self.named_parameters(remove_duplicate=False)} if half else set()
         state = {
             # a copy: safetensors refuses parameters that two parts share
             name: (value.half() if name in parameters else value).detach().cpu().clone().contiguous()

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
     from eldenet.perception.scene import Perception
     from eldenet.results.run_log import RunLog
+    from eldenet.system.resources import Resources
 
 
 @dataclass(frozen=True)
@@ -283,6 +284,39 @@ def open_perception(s: PredictSettings, source: "Source") -> "Perception":
     return Perception(None, built["detector"], built["lifter"], None, tracker=built.get("tracker"))
 
 
+def open_runtime(
+    model: "DepthNet", engine: str, size: tuple[int, int] | None, resources: "Resources"
+) -> "Runtime":
+    """Return a model under a runtime, for pictures of any size as under torch, or else of ``size`` [px].
+
+    Raises:
+        ValueError: the network has no graph for any size, and no ``size`` is given.
+    """
+    import numpy as np
+
+    from eldenet.deploy import runtimes
+
+    options: dict[str, Any] = {"threads": resources.threads, "device": resources.device}
+    model.info = {
+        "input_size": size
+    } | model.info  # where the model states none, the graph is made at this one
+    try:
+        network = runtimes.load(model, engine, **options)
+        network(
+            np.zeros((1, 3, 48, 80), np.float32)
+        )  # networks that round sides down fail here, each in its way
+    except ImportError:
+        raise
+    except Exception as error:
+        if size is None:
+            raise ValueError(
+                f"engine={engine}: this network has no graph for any size: give input_size=[height,width] or "
+                "engine=torch"
+            ) from error
+        return runtimes.load(model, engine, size=size, **options)
+    return network
+
+
 def open_predictor(
     s: PredictSettings, log: "RunLog", *, formats: tuple[str, ...] = (), is_video: bool = False
 ) -> "DepthPredictor":
@@ -313,9 +347,7 @@ def open_predictor(
         if s.engine in ("auto", "torch"):
             device = resources.device
         else:
-            # any size, as under torch; where the model states none, the graph is made at this one
-            model.info = {"input_size": size} | model.info
-            network = runtimes.load(model, s.engine, threads=resources.threads, device=resources.device)
+            network = open_runtime(model, s.engine, size, resources)
     if license:
         log.say(f"license of the weights: {license}")
     if "sigma" in formats and network.distribution is None:

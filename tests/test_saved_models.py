@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from safetensors.torch import load_file
 from support.networks import same_model, small_net
 from torch import nn
 
@@ -170,6 +171,10 @@ def test_a_network_with_a_shared_weight_is_saved_and_read_back(tmp_path: Path) -
     model = DepthNet(Shared(), LinearHead())
     model.save_pretrained(tmp_path / "model")
     assert same_model(eldenet.load(tmp_path / "model", trusted_modules=[__name__]), model)
+    model.save_pretrained(tmp_path / "half", half=True)
+    assert {value.dtype for value in load_file(tmp_path / "half/model.safetensors").values()} == {
+        torch.float16
+    }
 
 
 class Wide(FastUpConvDecoder):

@@ -31,11 +31,10 @@ class FolderDataset(FileDataset):
     (:func:`~eldenet.geometry.resample_depth`). A picture is turned as its EXIF tag says only where its depth
     map is upright.
 
-    Folders named train, val and test are these parts. Else the split is by scenes where there are several:
-    what ``*`` stands for, what a list states, or folders of frames. Else it is by blocks of frames that
-    follow each other in the order of their names (2 before 10): neighboring frames of a recording look nearly
-    the same, so a frame-by-frame split would test on what was trained. Better still, name validation frames
-    of other places in ``val_names``.
+    Folders named train, val and test are these parts. Else the split is by scenes where there are several, or
+    by blocks of frames that follow each other in the order of their names (2 before 10): neighboring frames
+    of a recording look nearly the same, so a frame-by-frame split would test on what was trained. Better
+    still, name validation frames of other places in ``val_names``.
 
     Args:
         root: the data set's folder.
@@ -121,9 +120,6 @@ class FolderDataset(FileDataset):
             names = [name for name, one in zip(names, parts, strict=True) if one == part]
         elif split != "all":
             scenes = [self.frames[name].scene for name in names]
-            if not any(scenes):  # of a list, or of folders below data.images
-                folders = [name.rpartition("/")[0] for name in names]
-                scenes = folders if len(set(folders)) < len(names) else []  # a folder per frame is no scene
             val, left_out = val_scenes(scenes, val_fraction, split_seed), list[int]()
             if not val:
                 val, left_out = val_blocks(len(names), val_fraction, blocks, gap, split_seed)

@@ -331,7 +331,7 @@ def _describe(
             found.facts.append("depth is turned by 90 degrees; which way, the contact sheet shows")
     seen = size_of_aspect(INPUT_SIZE, (size[0], size[1]))
     if seen != INPUT_SIZE or seen[0] > size[0]:
-        settings["input_size"] = "[{},{}]".format(*_in_tiles(seen, size))
+        settings["input_size"] = "[{},{}]".format(*_in_tiles(seen, (size[0], size[1])))
     stated = stated_scale(folder / settings["csv"]) if "csv" in settings else None
     units = _units(raws, stated)
     if known and stated is None:
@@ -451,14 +451,16 @@ def _kind_of(raw: np.ndarray) -> str:
     return "float" if raw.dtype.kind == "f" else "uint8" if raw.dtype == np.uint8 else "uint16"
 
 
-def _in_tiles(seen: tuple[int, int], most: Sequence[int]) -> tuple[int, int]:
-    """``(height, width)`` [px] of whole tiles of 32 with about the shape and the pixels of ``seen``."""
-    rows, columns = (range(32, max(side, 32) + 1, 32) for side in most[:2])
-    if rows[-1] * columns[-1] < 0.7 * seen[0] * seen[1]:
-        return rows[-1], columns[-1]  # small pictures are not enlarged
+def _in_tiles(seen: tuple[int, int], most: tuple[int, int]) -> tuple[int, int]:
+    """``(height, width)`` [px] of whole tiles of 32, with about the shape and the pixels of ``seen``.
+
+    Pictures smaller than that, ``most``, are not enlarged.
+    """
+    rows, columns = (range(32, max(side, 32) + 1, 32) for side in most)
+    wanted = min(seen, most, key=math.prod)
 
     def cost(size: tuple[int, int]) -> float:
-        high, wide = (math.log(new / old) for new, old in zip(size, seen, strict=True))
+        high, wide = (math.log(new / old) for new, old in zip(size, wanted, strict=True))
         return abs(wide - high) + 0.1 * abs(wide + high)
 
     return min(product(rows, columns), key=cost)

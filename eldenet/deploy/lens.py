@@ -136,8 +136,7 @@ class Lens:
         else:
             lines.append(f"note: {NO_FOCAL}")
         if points and self.centered:
-            assumed = "points and boxes assume fy = fx and the principal point in the picture's center"
-            lines.append(assumed if lines else f"camera: {assumed}")
+            lines.append("points and boxes assume fy = fx and the principal point in the picture's center")
         return "; ".join(lines)
 
 

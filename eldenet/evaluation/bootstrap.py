@@ -16,12 +16,13 @@ def scenes_of(names: Sequence[str]) -> np.ndarray:
     """The scene of each frame, as numbers ``(N,)``: what an interval draws.
 
     Frames of one room, place or drive are alike, so an interval that draws single frames is too narrow. A
-    scene is a folder with all that is above it: ``hall/rgb`` is not ``kitchen/rgb``. Where all frames are of
-    one scene, each counts as its own: nothing else can be drawn.
+    plain folder counts with all that is above it: ``hall/rgb`` is not ``kitchen/rgb``. Where all frames are
+    of one scene, each counts as its own: nothing else can be drawn.
     """
-    scenes = [
-        labeled_scene(name) or f"{PurePosixPath(name).parent.parent}/{scene_of(name)}" for name in names
-    ]
+    scenes = []
+    for name in names:
+        scene, folder = labeled_scene(name) or scene_of(name), PurePosixPath(name).parent
+        scenes.append(str(folder) if scene == folder.name else scene)
     found = np.unique(scenes, return_inverse=True)[1]
     return np.arange(len(names)) if len(names) and not found.any() else found
 

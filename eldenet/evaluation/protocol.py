@@ -242,7 +242,8 @@ class EvalProtocol:
     ) -> "Tensor":
         """Resize and scale the standard deviation of ln depth of a raw ``prediction``, as :meth:`align`.
 
-        A factor leaves it as it is; a shift changes the value that the same sigma is a share of.
+        A factor leaves it as it is; a shift changes the value that the same sigma is a share of. Where the
+        fit takes little of the prediction, sigma tends to 0 too.
         """
         spread = self.resize_to_gt(spread, depth.shape[-2:])
         if self.scale not in ("affine_depth", "affine_disparity"):

@@ -198,11 +198,14 @@ class BoxLifter:
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),
         }
         if estimate.distribution is not None and self.method != "no_depth":
+            # depth moves a box along its line of sight, which may pass the origin
             factors = DepthEstimate(np.ones(count), sigma, estimate.distribution).interval(DISTANCE_LEVEL)
-            eye = camera.translation
-            for name, factor in zip(("distance_low", "distance_high"), factors, strict=True):
-                end = eye + factor[:, None] * (raw.center - eye)  # depth moves a box along its line of sight
-                quality[name] = np.hypot(end[:, 0], end[:, 2])
+            eye, sight = camera.translation[[0, 2]], (raw.center - camera.translation)[:, [0, 2]]
+            nearest = np.clip(-(sight @ eye) / np.maximum((sight**2).sum(1), 1e-9), *factors)
+            near, one, other = (
+                np.linalg.norm(eye + at[:, None] * sight, axis=1) for at in (nearest, *factors)
+            )
+            quality |= {"distance_low": near, "distance_high": np.maximum(one, other)}
         return Boxes3D(
             raw.center, raw.size, wrap_half(raw.yaw), detections.score, detections.label, detections.names,
             quality, detections.track_id,

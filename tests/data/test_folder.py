@@ -183,32 +183,6 @@ def test_folders_named_as_parts_are_these_parts(tmp_path: Path, names: str) -> N
         assert scenes_of("test") == {scene for scene in scenes if scene.startswith("test")}
 
 
-@pytest.mark.parametrize("given", ["list", "folder"])
-def test_folders_of_frames_are_scenes(tmp_path: Path, given: str) -> None:
-    """Where neither ``*`` nor a column says so; but frames in a folder each are no scenes."""
-    rooms = ("hall", "kitchen", "office")
-    kinds = {"images": "rgb", "depths": "depth"}
-    for room in rooms:
-        places = {k: f"{room}/{v}" if given == "list" else f"{v}/{room}" for k, v in kinds.items()}
-        tree(tmp_path, 4, **places)
-    files = [f"{room}/{{}}/f{i:03d}.png" for room in rooms for i in range(4)]
-    (tmp_path / "pairs.csv").write_text("".join(f"{f.format('rgb')},{f.format('depth')}\n" for f in files))
-    options = {"csv": "pairs.csv"} if given == "list" else kinds
-    parts = {s: FolderDataset(tmp_path, split=s, max_depth=9.0, **options).names for s in ("train", "val")}
-    found = [{name.split("/")[0] for name in names} for names in parts.values()]
-    assert [len(names) for names in parts.values()] == [8, 4]
-    assert not found[0] & found[1]
-
-    for i in range(20):
-        tree(tmp_path / "each" / str(i), 1)
-    with open(tmp_path / "pairs.csv", "w") as file:
-        file.writelines(f"each/{i}/images/f000.png,each/{i}/depths/f000.png\n" for i in range(20))
-    val = FolderDataset(tmp_path, split="val", csv="pairs.csv", val_fraction=0.3, max_depth=9.0).names
-    assert len(val) == 6
-    numbers = [int(name.split("/")[1]) for name in val]
-    assert all({n, n ^ 1} <= set(numbers) for n in numbers)  # ten blocks of two
-
-
 def test_validation_frames_can_be_named(tmp_path: Path) -> None:
     tree(tmp_path, 4)
     (tmp_path / "val.txt").write_text("f001\nf003\n")

@@ -85,7 +85,7 @@ def test_one_frame_is_a_recording(tmp_path: Path) -> None:
     recordings.picture(tmp_path / "preview.png", 4)
     (found,) = recognize(tmp_path)
     settings = found.readings[0].settings[2:]
-    assert settings == ("data.images=images", "data.depths=depths", "data.input_size=[32,64]")
+    assert settings == ("data.images=images", "data.depths=depths", "data.input_size=[32,32]")
 
 
 @pytest.mark.parametrize("names", [("{}.png", "{}_depth.png"), ("{}_color.png", "{}.png")])
@@ -203,7 +203,7 @@ def test_a_list_with_a_wrong_line_is_explained(tmp_path: Path) -> None:
         ((360, 640), "[192,352]"),
         ((320, 480), "[256,384]"),
         ((100, 178), "[96,160]"),
-        ((120, 160), "[96,160]"),
+        ((120, 160), "[96,128]"),
         ((480, 640), ""),
     ],
 )

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,14 @@ from support.networks import canonical_net, light_net
 from support.predicting import exported, listed, photo, read_ply, run, save, settings, turned_by_exif
 
 import eldenet
+from eldenet.backbones.timm import TimmBackbone
 from eldenet.data.io import read_depth
+from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.deploy import outputs
 from eldenet.deploy.outputs import name_results
 from eldenet.deploy.prediction import find_source
 from eldenet.deploy.predictor import DepthPredictor
+from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 from eldenet.predict import open_predictor
 from eldenet.results.run_log import RunLog
@@ -260,6 +264,20 @@ def test_another_input_size_shows_a_runtime_what_torch_sees(tmp_path: Path, info
         predictor = open_predictor(asked, RunLog(tmp_path, quiet=True))
         depth.append(predictor(photo(72, 128)))
     np.testing.assert_allclose(depth[1], depth[0], rtol=1e-3)
+
+
+def test_a_network_without_a_graph_for_any_size_runs_at_one(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("timm")
+    parts = TimmBackbone("test_convnext"), partial(FastUpConvDecoder, modules=2), LinearHead()
+    folder = DepthNet.from_parts(*parts).save_pretrained(tmp_path / "model")
+    words = [folder, tmp_path / "a.png", tmp_path / "out", "engine=onnxruntime"]
+    with pytest.raises(
+        ValueError, match=r"no graph for any size: give input_size=\[height,width\] or engine"
+    ):
+        open_predictor(settings(*words), RunLog(tmp_path, quiet=True))
+    predictor = open_predictor(settings(*words, "input_size=[64,96]"), RunLog(tmp_path, quiet=True))
+    assert predictor(photo(90, 160)).shape == (90, 160)
 
 
 def test_the_command_writes_below_runs_and_fails_with_one_line(

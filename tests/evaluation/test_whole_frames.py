@@ -189,10 +189,11 @@ def test_frames_of_another_shape_are_scored_as_they_are_predicted(
 @pytest.mark.parametrize(
     ("words", "noted"),
     [
-        (["input_size=[64,128]"], " and at its size: give data.intrinsics, or input_size=model"),
+        (["input_size=[64,128]"], " and at its size: give data.intrinsics, and else input_size=model"),
         (["input_size=[32,64]"], ": give data.intrinsics"),
         ([], ": give data.intrinsics"),
         (["data.intrinsics=[50,50,31.5,15.5]"], None),
+        (["data.protocol.scale=median"], None),
     ],
 )
 def test_evaluate_says_for_which_lens_the_meters_are_right(

@@ -378,6 +378,17 @@ def test_the_interval_is_of_the_depth_from_the_camera_not_from_the_origin():
         for place in ((0.0, 0.0, 0.0), (0.0, -1.6, -6.0))
     )
     assert there[0].interval == pytest.approx(np.array(here[0].interval) - 6, abs=0.05)
+    (near, far), own = here[0].interval, here[0].distance
+    for back in (
+        own - 0.01,
+        own + 1,
+        far + 3,
+    ):  # the origin lies at the box or beyond, as seen from the camera
+        camera = PinholeCamera(CAMERA.intrinsics, translation=np.array([0.0, -1.6, -back]))
+        (box,) = BoxLifter()(estimate, detection(xyxy), camera)
+        assert box.interval[0] <= box.distance <= box.interval[1]
+        ends = sorted(abs(end - back) for end in (near, far))
+        assert box.interval == pytest.approx((0.0 if near < back < far else ends[0], ends[1]), abs=0.05)
 
 
 def test_intervals_of_distances_hold_their_share_of_objects():

@@ -87,6 +87,14 @@ def test_frames_of_a_scene_are_drawn_together():
             [0, 0, 1, 1],
         ),
         (["kitchen_0001a/1", "kitchen_0001b/1", "office_0001/1"], [0, 0, 1]),
+        (
+            [
+                "2011_09_26_drive_0002_sync/image_02/data/01",
+                "2011_09_26_drive_0002_sync/image_03/data/01",
+                "a/1",
+            ],
+            [0, 0, 1],
+        ),
         (["hall/rgb/000", "hall/rgb/001", "kitchen/rgb/000"], [0, 0, 1]),
         (["1", "2", "3"], [0, 1, 2]),
         ([], []),
