@@ -13,6 +13,7 @@ import math
 import threading
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -296,24 +297,24 @@ def open_runtime(
 
     from eldenet.deploy import runtimes
 
-    options: dict[str, Any] = {"threads": resources.threads, "device": resources.device}
-    model.info = {
-        "input_size": size
-    } | model.info  # where the model states none, the graph is made at this one
+    # where the model states no size, the graph is made at this one
+    model.info = {"input_size": size} | model.info
+    load = partial(runtimes.load, model, engine, threads=resources.threads, device=resources.device)
     try:
-        network = runtimes.load(model, engine, **options)
-        network(
-            np.zeros((1, 3, 48, 80), np.float32)
-        )  # networks that round sides down fail here, each in its way
-    except ImportError:
-        raise
+        network = load()
+    except ValueError:
+        if size is None:
+            raise
+        return load(size=size)
+    try:  # networks that round sides down fail here, under each runtime in its way
+        network(np.zeros((1, 3, 48, 80), np.float32))
     except Exception as error:
         if size is None:
             raise ValueError(
                 f"engine={engine}: this network has no graph for any size: give input_size=[height,width] or "
                 "engine=torch"
             ) from error
-        return runtimes.load(model, engine, size=size, **options)
+        return load(size=size)
     return network
 
 

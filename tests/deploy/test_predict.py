@@ -270,7 +270,7 @@ def test_a_network_without_a_graph_for_any_size_runs_at_one(tmp_path: Path) -> N
     pytest.importorskip("onnxruntime")
     pytest.importorskip("timm")
     parts = TimmBackbone("test_convnext"), partial(FastUpConvDecoder, modules=2), LinearHead()
-    folder = DepthNet.from_parts(*parts).save_pretrained(tmp_path / "model")
+    folder = DepthNet.from_parts(*parts).save_pretrained(tmp_path / "model", info={"input_size": [64, 96]})
     words = [folder, tmp_path / "a.png", tmp_path / "out", "engine=onnxruntime"]
     with pytest.raises(
         ValueError, match=r"no graph for any size: give input_size=\[height,width\] or engine"
