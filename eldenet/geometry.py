@@ -270,6 +270,15 @@ def size_of_aspect(size: tuple[int, int], frame: tuple[float, float]) -> tuple[i
     return max(1, round(height)), max(1, round(height * frame[1] / frame[0]))
 
 
+def grid_margins(size: Sequence[int]) -> tuple[int, int, int, int]:
+    """Return ``(top, bottom, left, right)`` [px] that extend ``(height, width)`` to multiples of ``GRID``.
+
+    They lie on both sides, so the lens stays in the center.
+    """
+    down, across = (-side % GRID for side in size)
+    return down // 2, down - down // 2, across // 2, across - across // 2
+
+
 def same_aspect(one: tuple[float, float], other: tuple[float, float]) -> bool:
     """Whether ``(height, width)`` of both have one aspect up to rounding."""
     return abs(math.log(one[0] * other[1] / (one[1] * other[0]))) <= SAME_ASPECT

@@ -12,7 +12,14 @@ import numpy as np
 from eldenet.deploy.runtimes.base import Runtime, check_depth, check_known_lens
 from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
-from eldenet.geometry import BORDER_COLOR, GRID, fit_into, focal_length, resize_image, size_of_aspect
+from eldenet.geometry import (
+    BORDER_COLOR,
+    fit_into,
+    focal_length,
+    grid_margins,
+    resize_image,
+    size_of_aspect,
+)
 from eldenet.system.resources import check_torch_device, full_fp32
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 
@@ -217,7 +224,7 @@ class DepthPredictor:
             filled[top:bottom, left:right] = image
             image = filled
         if camera is None and size != self.input_size:
-            above, before = (-side % GRID // 2 for side in size)
+            above, _, before, _ = grid_margins(size)
             top, bottom, left, right = top + above, bottom + above, left + before, right + before
             image = padded(image)
         lens = None if focal is None else focal * (right - left) / width
@@ -276,13 +283,11 @@ def as_image(frame: np.ndarray) -> np.ndarray:
 def padded(image: np.ndarray) -> np.ndarray:
     """Repeat the rows and columns at the edges of ``(H, W, 3)`` until both sides are multiples of ``GRID``.
 
-    Networks round odd sizes up, which makes the depth of the last rows wrong. The lens stays in the center.
+    Networks round odd sizes up, which makes the depth of the last rows wrong.
     """
     import cv2
 
-    down, across = -image.shape[0] % GRID, -image.shape[1] % GRID
-    margins = down // 2, down - down // 2, across // 2, across - across // 2
-    return np.asarray(cv2.copyMakeBorder(image, *margins, cv2.BORDER_REPLICATE))
+    return np.asarray(cv2.copyMakeBorder(image, *grid_margins(image.shape[:2]), cv2.BORDER_REPLICATE))
 
 
 def enlarged(depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:

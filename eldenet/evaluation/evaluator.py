@@ -16,7 +16,7 @@ from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.evaluation.cost import device_of
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.geometry import GRID
+from eldenet.geometry import grid_margins
 from eldenet.model import eval_mode
 
 if TYPE_CHECKING:
@@ -81,9 +81,8 @@ def _maps(
     height, width = image.shape[-2:]
     top = left = 0
     if pad:
-        down, across = -height % GRID, -width % GRID
-        top, left = down // 2, across // 2
-        image = F.pad(image, (left, across - left, top, down - top), mode="replicate")
+        top, bottom, left, right = grid_margins((height, width))
+        image = F.pad(image, (left, right, top, bottom), mode="replicate")
 
     def run(picture: Tensor) -> list[Tensor]:
         found = model(picture, *_camera(model, focal), **options)

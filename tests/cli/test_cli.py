@@ -63,6 +63,7 @@ def test_evaluate_gives_the_same_numbers_and_report_a_table(trained, run_command
     first = json.loads((trained / "run.json").read_text())
     second = json.loads((trained.parent / "evaluation" / "run.json").read_text())
     assert second["metrics"] == pytest.approx(first["metrics"])
+    assert "worse than a constant" in finished.stdout  # after a step or two
     assert second["model"] == "eldenet_s"
     finished = run_command(
         "report", f"runs=[{trained}]", "output=tables/first", "costs=false", cwd=trained.parent

@@ -1,25 +1,20 @@
 """``python -m eldenet.export``, for every family of networks in the zoo."""
 
-from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from support.networks import canonical_net
+from support.networks import canonical_net, rounding_down_net
 
 import eldenet
-from eldenet.backbones.timm import TimmBackbone
 from eldenet.compose import compose
-from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.deploy import runtimes
 from eldenet.deploy.metadata import read_metadata
 from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.export import ExportSettings, compare_with_torch, export, map_errors, target_of
-from eldenet.heads import LinearHead
-from eldenet.model import DepthNet
 from eldenet.results.run_log import RunLog
 from eldenet.uncertainty import DepthEstimate
 
@@ -256,9 +251,7 @@ def test_a_file_of_any_size_crops_what_a_decoder_makes_beyond_an_odd_image(tmp_p
 
 def test_a_file_that_fails_at_odd_sizes_is_no_file_of_any_size(photos: Path, tmp_path: Path) -> None:
     """The exporter keeps the branch of its example, which has nothing to pad; ConvNeXt rounds down."""
-    pytest.importorskip("timm")
-    parts = TimmBackbone("test_convnext"), partial(FastUpConvDecoder, modules=2), LinearHead()
-    folder = DepthNet.from_parts(*parts).save_pretrained(tmp_path / "model", info={"input_size": [64, 96]})
+    folder = rounding_down_net().save_pretrained(tmp_path / "model", info={"input_size": [64, 96]})
     words = [f"output='{tmp_path / 'm.onnx'}'"]
     with pytest.raises(ValueError, match=r"m\.onnx was removed.* at any size: give size=\[64, 96\]"):
         run(folder, photos, *words)

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +11,15 @@ import numpy as np
 import pytest
 from support.detector_files import FILES
 from support.detector_files import save as save_detector
-from support.networks import canonical_net, light_net
+from support.networks import canonical_net, light_net, rounding_down_net
 from support.predicting import exported, listed, photo, read_ply, run, save, settings, turned_by_exif
 
 import eldenet
-from eldenet.backbones.timm import TimmBackbone
 from eldenet.data.io import read_depth
-from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.deploy import outputs
 from eldenet.deploy.outputs import name_results
 from eldenet.deploy.prediction import find_source
 from eldenet.deploy.predictor import DepthPredictor
-from eldenet.heads import LinearHead
 from eldenet.model import DepthNet
 from eldenet.predict import open_predictor
 from eldenet.results.run_log import RunLog
@@ -268,9 +264,7 @@ def test_another_input_size_shows_a_runtime_what_torch_sees(tmp_path: Path, info
 
 def test_a_network_without_a_graph_for_any_size_runs_at_one(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
-    pytest.importorskip("timm")
-    parts = TimmBackbone("test_convnext"), partial(FastUpConvDecoder, modules=2), LinearHead()
-    folder = DepthNet.from_parts(*parts).save_pretrained(tmp_path / "model", info={"input_size": [64, 96]})
+    folder = rounding_down_net().save_pretrained(tmp_path / "model", info={"input_size": [64, 96]})
     words = [folder, tmp_path / "a.png", tmp_path / "out", "engine=onnxruntime"]
     with pytest.raises(
         ValueError, match=r"no graph for any size: give input_size=\[height,width\] or engine"

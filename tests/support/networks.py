@@ -3,11 +3,13 @@
 from functools import partial
 from typing import Any
 
+import pytest
 import torch
 from torch import Tensor
 
 from eldenet.backbones.efficientnet import EfficientNetLite
 from eldenet.backbones.pplcnet import PPLCNet
+from eldenet.backbones.timm import TimmBackbone
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.heads import LinearHead
@@ -24,6 +26,13 @@ def light_net() -> DepthNet:
     """One of few operations: a file of any size takes half as long as that of :func:`small_net`."""
     backbone, decoder = EfficientNetLite(blocks=[1, 1]), partial(FastUpConvDecoder, modules=2)
     return small_net(backbone=backbone, decoder=decoder)
+
+
+def rounding_down_net() -> DepthNet:
+    """A ConvNeXt, whose features of odd sizes are rounded down; skips the test without timm."""
+    pytest.importorskip("timm")
+    parts = TimmBackbone("test_convnext"), partial(FastUpConvDecoder, modules=2), LinearHead()
+    return DepthNet.from_parts(*parts)
 
 
 def canonical_net(height: int, width: int) -> DepthNet:

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.train import TrainSettings, train
-from eldenet.training.notes import collapse
+from eldenet.training.notes import after, collapse
 from eldenet.training.trainer import Trainer
 
 
@@ -97,6 +98,9 @@ def test_a_network_worse_than_a_constant_map_is_said() -> None:
     constant = {"delta1": 0.4, "abs_rel": 0.5}
     worse = {"metrics": {"delta1": 0.0, "abs_rel": 1.0}, "constant_predictor": constant}
     assert "worse than a constant depth map (delta1 0.000" in collapse(worse)
+    (line,) = after(MagicMock(), MagicMock(epochs=1, evaluate_every=1), worse)
+    assert line.startswith(collapse(worse))
+    assert "lower optimizer.lr" in line
     assert collapse({"metrics": {"delta1": 0.3, "abs_rel": 0.4}, "constant_predictor": constant}) == ""
     assert collapse({"metrics": worse["metrics"], "constant_predictor": None}) == ""
 
