@@ -63,9 +63,7 @@ def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Res
     log, known_pitch = RunLog(folder), s["camera_pitch"] is not None
     predictor = DepthPredictor(start, device=resources.device, steady=False)
     pitch = math.radians(s["camera_pitch"]) if known_pitch else None
-    floors_of = Floors(
-        level_camera(intrinsic_matrix(s["intrinsics"]), pitch), s["camera_height"], known_pitch
-    )
+    floors_of = Floors(level_camera(s["intrinsics"], pitch), s["camera_height"], known_pitch)
     names, values, shown, thumbnails = measure_floors(source, predictor, floors_of, s["frames"], log)
     refuse_few(values)
     held, fitted = hold_out_floors(values, s["seed"])
@@ -191,13 +189,10 @@ def floor_pixels(
     depth: np.ndarray, camera: PinholeCamera, plane: GroundPlane
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns ``(P,)`` of the pixels of the lower half that lie on ``plane``."""
-    top = depth.shape[0] // 2
-    rows, columns = (grid.ravel() for grid in np.indices(depth.shape))
-    rows, columns = rows[top * depth.shape[1] :], columns[top * depth.shape[1] :]
+    rows, columns = np.mgrid[depth.shape[0] // 2 : depth.shape[0], : depth.shape[1]].reshape(2, -1)
     distance = depth[rows, columns]
-    inside = np.abs(plane.height_above(camera.back_project(columns, rows, distance))) < floor_tolerance(
-        distance
-    )
+    height = plane.height_above(camera.back_project(columns, rows, distance))
+    inside = np.abs(height) < floor_tolerance(distance)
     return rows[inside], columns[inside]
 
 

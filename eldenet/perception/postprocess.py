@@ -90,8 +90,6 @@ def cross_class_nms(xyxy: np.ndarray, label: np.ndarray, threshold: float) -> np
 
     A pick-up that is detected as a car and as a truck would become two objects in one place. 1: keep all.
     """
-    if threshold >= 1:
-        return np.arange(len(label))
     twins = (iou_2d(xyxy, xyxy) > threshold) & (label[:, None] != label[None])
     kept: list[int] = []
     for index in range(len(label)):
