@@ -129,11 +129,7 @@ class Latencies:
         return cls(lines)
 
     def check(self, row: StudyRow, run: Mapping[str, Any]) -> None:
-        """Raise ValueError for a latency of another network than a row's run has, or at another input.
-
-        Raises:
-            ValueError: names what differs.
-        """
+        """Raise ValueError for a latency of another network than a row's run has, or at another input."""
         line = self.lines.get(row.name)
         if line is None:
             return

@@ -31,11 +31,7 @@ def run_overrides(shared: Sequence[str], folder: Path, runs: Path, *, name: str,
 
 
 def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
-    """Raise FileNotFoundError if another row, whose weights a row starts or learns from, has not been run.
-
-    Raises:
-        FileNotFoundError: names the run's folder below ``runs``.
-    """
+    """Raise FileNotFoundError if another row, whose weights a row starts or learns from, has not been run."""
     texts = [text.replace("{seed}", str(seed)) for text in row.overrides]
     needed = [Path(runs / name).resolve() for text in texts for name in _NEEDED.findall(text)]
     missing = [path for path in needed if not (path / RUN_FILE).is_file()]

@@ -58,16 +58,11 @@ class Profile:
         self.steps += 1
         self._trace.step()
 
-    def read(self) -> None:
-        """Add up what the GPU has timed; wait for it."""
+    def close(self) -> list[tuple[str, str, str, str]]:
+        """End the trace; return rows of the table: part, seconds, share of the whole, milliseconds a step."""
         for name, first, last in self._spans:
             last.synchronize()
             self.seconds[name] += first.elapsed_time(last) / 1000
-        self._spans.clear()
-
-    def close(self) -> list[tuple[str, str, str, str]]:
-        """End the trace; return rows of the table: part, seconds, share of the whole, milliseconds a step."""
-        self.read()
         self._trace.stop()
         whole = time.perf_counter() - self.started
         rows = [*self.seconds.items(), ("everything", whole)]

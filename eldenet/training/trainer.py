@@ -547,9 +547,8 @@ class Trainer:
     def _validate(self) -> dict[str, float]:
         model = self._best_candidate()
         if self.processes > 1:
-            for (
-                buffer
-            ) in model.buffers():  # each process has its own BatchNorm statistics: score what is saved
+            # each process has its own BatchNorm statistics: score what is saved
+            for buffer in model.buffers():
                 torch.distributed.broadcast(buffer, 0)
         with self.log.bar("validation", len(self.val_set)) as bar:
             result = evaluate_batches(
