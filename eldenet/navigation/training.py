@@ -22,8 +22,8 @@ PROGRESS, RECORD = "progress.json", "training.json"
 VALIDATION_DENSITY = 80  # or the greatest number of obstacles in training, if that is less
 #: Settings that a checkpoint and the training that continues it have in common.
 COMPARED = ("seed", "sensor", "observer", "learner", "training", "time_limit", "goal")
-#: Settings, with the values that change nothing: trainings of earlier versions lack some of them, and have
-#: ``quantiles`` and ``curriculum``, which are gone.
+#: Settings, with the values that change nothing: earlier trainings (policies.zip of table5_success) lack some
+#: of them, and have ``quantiles`` and ``curriculum``, which are gone.
 IDLE: Mapping[str, tuple[Any, ...]] = {
     "false_near": (0.0,),
     "false_far": (0.0,),
