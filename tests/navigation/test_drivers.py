@@ -106,8 +106,6 @@ def test_the_driver_slows_down_before_the_goal(within, distance, expected):
         Senses(np.full((1, ROBOT.columns), ROBOT.far), np.zeros((1, 3)), np.array([[distance, 0.0]]))
     )
     assert driver.commands(np.array([2]))[0] == pytest.approx([expected, 0.0])
-    with pytest.raises(ValueError, match=r"slows_within=0\.0: give a finite distance"):
-        Navigator(QNetwork(39, 5, (16,)), {"slows_within": 0.0})
 
 
 def test_the_policy_loads_no_simulator():

@@ -105,8 +105,8 @@ def test_a_policy_of_weights_that_are_not_finite_does_not_load(members: int, tmp
         Navigator.load(files)
 
 
-@pytest.mark.parametrize("wrong", [NAN, INF])
-def test_a_driver_of_numbers_that_are_not_finite_is_refused(wrong: float) -> None:
+@pytest.mark.parametrize("wrong", [NAN, INF, 0.0])
+def test_a_driver_of_numbers_that_are_not_finite_or_0_is_refused(wrong: float) -> None:
     """It would command nan m/s."""
     with pytest.raises(ValueError, match=f"slows_within={wrong}: give a finite distance above 0"):
         Navigator.load(slows_within=wrong)
