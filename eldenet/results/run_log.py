@@ -119,9 +119,9 @@ class RunLog:
         table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
         for place in kept:
             justify: Any = "right" if place else "left"
-            table.add_column(
-                escape(cells[0][place]), justify=justify, min_width=widths[place], overflow="fold"
-            )  # escaped: rich would drop "[m]"
+            table.add_column(  # escaped: rich would drop "[m]"
+                escape(cells[0][place]), justify=justify, width=widths[place], overflow="fold"
+            )
         for row in cells[1:]:
             table.add_row(*(escape(row[place]) for place in kept))
         self.console.print(table)

@@ -283,6 +283,10 @@ def test_a_narrow_terminal_drops_columns_and_says_so_but_never_digits(tmp_path, 
     assert "no room" not in "".join(wide)
     tiny = printed(54, *there)  # a name is wrapped before a digit is lost
     assert any("0.200±0.000  0.500±0.000  0.850±0.071" in line for line in tiny)
+    titles = ["model", "runtime", "params", "gmacs", "gflops", "latency_ms_p50", "fps", "ratio_latency"]
+    row = ["a_name_of_30_characters_or_so_", "torch_channels_last", "587,353"]
+    row += ["0.092", "0.184", "16.41", "60.94", "1.000"]
+    assert printed(80, titles, [row], [1, 2, 3, 5, 6, 7], *there[3:])[3].endswith("16.41  60.94")
 
 
 def test_csv_has_a_column_for_each_figure():
