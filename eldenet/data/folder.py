@@ -208,7 +208,11 @@ class FolderDataset(FileDataset):
                 "(clockwise) or 270, and look at the contact sheet of eldenet check-data"
             )
         if not same_aspect(*shapes):
-            check_pair(image.shape, image_file, depth.shape, depth_file)
+            high, wide, *_ = image.shape
+            raise ValueError(
+                f"{image_file} is {high}x{wide}, {depth_file} is {depth.shape[0]}x{depth.shape[1]} (height x "
+                "width): depth of another shape shows another view; align it to the pictures first"
+            )
         return image, depth
 
 

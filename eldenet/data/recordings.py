@@ -1,6 +1,5 @@
 """The frames of a recording: which picture, depth map, confidence map and camera belong together."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,10 +21,9 @@ from eldenet.data.frame_lists import read_frame_list
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.data.paths import as_on_disk, composed
 from eldenet.system.checks import one_of
-from eldenet.system.errors import some_of
+from eldenet.system.errors import some_of, warn_once
 
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
-logger = logging.getLogger("eldenet")
 
 
 class RecordedFrame(NamedTuple):
@@ -173,14 +171,10 @@ class Layout:
         alone = sorted(set(pictures) - set(pairs))
         unused = len(set(maps) - set(pairs.values()))
         if alone or unused:
-            logger.info(
-                "%s: %d pictures have a depth map within %g s; %d pictures and %d depth maps have none%s",
-                root,
-                len(pairs),
-                self.tolerance,
-                len(alone),
-                unused,
-                f", such as {pictures[alone[0]]}" if alone else "",
+            warn_once(
+                f"{root}: {len(pairs)} pictures have a depth map within {self.tolerance:g} s; {len(alone)} "
+                f"pictures and {unused} depth maps have none"
+                + (f", such as {pictures[alone[0]]}" if alone else "")
             )
 
     def _beside(
