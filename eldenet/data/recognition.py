@@ -295,8 +295,9 @@ def _describe(
     settings = {"data": "folder", "root": str(folder), **settings}
     found = Recognized(f"a recording: {title}")
     whole = [frame for frame in frames if all((folder / file).is_file() for file in frame.files)]
-    lost = len(frames) - len(whole) if "csv" in settings else 0
-    found.facts.append(f"frames: {len(whole)}" + f"; files of {lost} others are missing" * bool(lost))
+    lost = len(frames) - len(whole)
+    skip = f"; {lost} others lack a file: add it, or data.on_error=skip to these settings" * bool(lost)
+    found.facts.append(f"frames: {len(whole)}{skip}")
     found.facts += _unpaired(folder, settings, whole)
     if not whole:
         return found
