@@ -129,10 +129,9 @@ def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found
     ]
     for split_name, line, _ in guesses:
         log.say(f"{split_name}: {line}")
-    inverse = [(split.split, inverse_doubt(*split.farther_below)) for split in found.splits]
-    for split_name, line in inverse:
-        if line:
-            log.say(f"{split_name}: {line}")
+    farther, others = (sum(split.farther_below[place] for split in found.splits) for place in (0, 1))
+    if line := inverse_doubt(farther, others):  # of all splits: a few neighboring frames prove nothing
+        log.say(line)
     if found.faults:
         verdict = "something is wrong, see above"
     elif any(implausible for *_, implausible in guesses):

@@ -315,6 +315,18 @@ def test_inverse_depth_is_asked_about(inverse: bool, tmp_path: Path, capsys) -> 
         assert ("is it inverse depth or disparity?" in said) == inverse
 
 
+def test_a_few_neighboring_frames_are_not_asked_about(tmp_path: Path, capsys) -> None:
+    """A block for validation may show a table before a near wall."""
+    root = layouts.folder(tmp_path / "data", count=14)
+    for i in range(14):
+        rows = np.linspace(4000, 1000, SIZE[0]).astype(np.uint16)[:: -1 if i < 5 else 1, None]
+        layouts.picture(root / f"depths/f{i:03d}.png", np.repeat(rows, SIZE[1], 1))
+    names = [f"f{i:03d}" for i in range(5)]
+    words = ["data=folder", f"data.root={root}", f"data.val_names={names}", f"output={tmp_path / 'out'}"]
+    check_data(compose(CheckDataSettings, words))
+    assert "disparity" not in capsys.readouterr().out
+
+
 def test_another_unit_is_asked_about_where_several_known_ones_fit_too(tmp_path: Path) -> None:
     """Virtual KITTI's depth is in 16-bit centimeters, and could be 16-bit millimeters."""
     for i in range(3):
