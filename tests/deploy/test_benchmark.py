@@ -221,7 +221,7 @@ def test_a_benchmark_whose_rows_all_fail_fails(tmp_path: Path) -> None:
 def stored(folder: Path, name: str, **changes: Any) -> Path:
     """A run's record, as far as it is read."""
     run = {"model": "eldenet_s", "seed": 0, "data": "rooms", "split": "test", "split_hash": "abc"}
-    run |= {"metrics": {"delta1": 0.8}, "protocol": {"name": "rooms"}}
+    run |= {"metrics": {"delta1": 0.8}, "protocol": {"name": "rooms"}, "cost": {"height": 96, "width": 128}}
     (folder / name).mkdir(parents=True)
     (folder / name / "run.json").write_text(json.dumps(run | changes))
     return folder / name
@@ -248,7 +248,7 @@ def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> N
     names = ["eldenet_s", "mine"]
     found, title = read_accuracies([str(tmp_path)], "delta1", names)
     assert found == pytest.approx({"eldenet_s": 0.7, "mine": 0.9})
-    assert title == "δ1 ↑, rooms, rooms/test"
+    assert title == "δ1 ↑, rooms, rooms/test, at 96x128"
     assert read_accuracies([], "delta1", names) is None
     with pytest.raises(
         ValueError, match="runs are of eldenet_s, mine, not_measured, but the models are other"

@@ -119,6 +119,8 @@ def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]
     except ValueError as error:
         raise ValueError(f"accuracies={list(folders)}: {error}") from error
     title = f"{heading(metric, runs[0])}, {runs[0]['protocol']['name']}, {runs[0]['data']}/{runs[0]['split']}"
+    scored_at = sorted({f"{run['cost']['height']}x{run['cost']['width']}" for run in runs})
+    title += f", at {' and '.join(scored_at)}"
     return {model: statistics.fmean(values) for model, values in rows.items() if values}, title
 
 
