@@ -19,9 +19,7 @@ def to_axes(ground: np.ndarray, yaw: np.ndarray) -> np.ndarray:
 
 def from_axes(axes: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Ground points (x, z) ``(..., 2)`` of coordinates along the length (u) and width (v) of a box."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    u, v = axes[..., 0], axes[..., 1]
-    return np.stack([u * c + v * s, -u * s + v * c], axis=-1)
+    return to_axes(axes, -yaw)  # a rotation
 
 
 def extents(points: np.ndarray, weight: np.ndarray, yaw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
