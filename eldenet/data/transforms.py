@@ -183,6 +183,8 @@ class Augmentation:
         Raises:
             ValueError: image and depth differ in size.
         """
+        import cv2
+
         check_same_size(frame)
         # a shared state, as Compose.set_random_seed would seed all transforms alike, so that one draw
         # would decide on flip, affine and color alike
@@ -190,15 +192,15 @@ class Augmentation:
         height, width = frame.depth.shape
         geometry = _drawn(self.geometry, (height, width), generator, chance)
         color = _drawn(self.color, (height, width), generator, chance)
-        matrix, nearer, intrinsics = IDENTITY, 1.0, frame.intrinsics
-        if self.geometry:
-            points = np.zeros((3, 5), dtype=np.float32)  # x, y; albumentations' keypoints have three more
-            points[:, :2] = corners = [[0, 0], [width, 0], [0, height]]
-            for transform, drawn in geometry:
-                points = transform.apply_to_keypoints(points, **drawn)
-            matrix = _affine_through(np.array(corners), points[:, :2].astype(np.float64))
-            nearer, intrinsics = self._move_camera(intrinsics, matrix)
-        return Change(intrinsics, matrix if geometry else IDENTITY, nearer, geometry, color)
+        if not geometry:
+            return Change(frame.intrinsics, color=color)
+        corners = np.array([[0, 0], [width, 0], [0, height]], np.float32)
+        points = np.pad(corners, [(0, 0), (0, 3)])  # albumentations' keypoints have three more columns
+        for transform, drawn in geometry:
+            points = transform.apply_to_keypoints(points, **drawn)
+        matrix = cv2.getAffineTransform(corners, points[:, :2].astype(np.float32))
+        nearer, intrinsics = self._move_camera(frame.intrinsics, matrix)
+        return Change(intrinsics, matrix, nearer, geometry, color)
 
     def _move_camera(
         self, intrinsics: np.ndarray | None, matrix: np.ndarray
@@ -212,7 +214,7 @@ class Augmentation:
             moved[:2, :2] *= longer
             moved[:2, 2] = matrix @ np.array([intrinsics[0, 2], intrinsics[1, 2], 1.0])
             intrinsics = moved
-        return zoom if zoom != longer else 1.0, intrinsics
+        return zoom / longer, intrinsics
 
 
 def randomly_convolved(image: np.ndarray, generator: np.random.Generator) -> np.ndarray:
@@ -253,9 +255,3 @@ def _drawn(
             parameters |= transform.get_params_dependent_on_data(parameters, any_image)
             drawn.append((transform, parameters))
     return drawn
-
-
-def _affine_through(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the ``(2, 3)`` matrix [px] that maps three points ``(3, 2)`` to their new places."""
-    homogeneous = np.column_stack([before.astype(np.float64), np.ones(3)])
-    return np.linalg.solve(homogeneous, after).T

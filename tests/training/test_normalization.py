@@ -39,12 +39,9 @@ def test_the_data_sets_own_are_numpys(frames: FolderDataset) -> None:
     np.testing.assert_allclose(chosen["std"], pixels.std(0), atol=1e-5)
 
 
-def test_the_draw_is_seeded(frames: FolderDataset) -> None:
-    means = [channel_statistics(frames, frames=2, seed=seed).mean for seed in (0, 0, 1)]
-    assert means[0] == means[1]
-    assert means[0] != means[2]
-    every = {tuple(channel_statistics(frames, frames=6, seed=seed).mean) for seed in range(3)}
-    assert len(every) == 1
+def test_the_same_frames_are_drawn_again(frames: FolderDataset) -> None:
+    some = channel_statistics(frames, frames=2).mean
+    assert some == channel_statistics(frames, frames=2).mean != channel_statistics(frames).mean
 
 
 def test_imagenets_are_the_default_and_change_no_network(frames: FolderDataset) -> None:
