@@ -145,14 +145,9 @@ def _thread_failed(failed: threading.ExceptHookArgs) -> None:
         threading.__excepthook__(failed)
 
 
-def given_settings(overrides: Sequence[str] | None = None) -> dict[str, str]:
-    """Return what the command line sets, as ``{"policy.walkers": "policy.walkers=true"}``.
-
-    Args:
-        overrides: as typed; None: those of the running command or job of a sweep, if one runs.
-    """
-    if overrides is None:
-        overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
+def given_settings() -> dict[str, str]:
+    """Return what the running command or job sets, as ``{"policy.walkers": "policy.walkers=true"}``."""
+    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return {override.key_or_group: str(override.input_line) for override in parsed}
 

@@ -116,12 +116,10 @@ def read_exr(path: Path) -> np.ndarray:
         sides = (last - first + 1).tolist()
         channel_names = [channel.name for channel in header["channels"]]
     check_pixels(sides[::-1], path)
-    if len(channel_names) > MOST_CHANNELS:
+    if not 0 < len(channel_names) <= MOST_CHANNELS:
         raise ValueError(f"{path} has {len(channel_names)} channels: store only depth, as one channel")
     with reading(path, "OpenEXR file"), OpenEXR.File(str(path), separate_channels=True) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    if not channels:
-        raise ValueError(f"{path} has no channels: store depth as one channel")
     first, *others = channels.values()
     if not all(np.array_equal(first, other) for other in others):
         raise ValueError(f"{path} has the channels {', '.join(channels)}: store only depth, as one channel")

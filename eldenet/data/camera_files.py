@@ -8,7 +8,7 @@ import numpy as np
 
 from eldenet.geometry import check_intrinsics, intrinsic_matrix, resize_intrinsics, same_aspect
 from eldenet.system.errors import reading, warn_once
-from eldenet.system.files import parse_json, read_text
+from eldenet.system.files import parse_json, read_text, read_yaml
 
 CAMERA_ENDINGS = (".json", ".txt", ".csv", ".yaml", ".yml", ".pincam")
 CENTRAL = 0.1  # how far from the middle a principal point may lie, as a share of the side
@@ -80,11 +80,7 @@ def read_camera(path: Path) -> Camera:
     if ending == ".json":
         return camera_of(parse_json(text, path), path)
     if ending in (".yaml", ".yml"):
-        import yaml
-
-        with reading(path, "YAML file"):
-            record = yaml.safe_load(text)
-        return camera_of(record, path)
+        return camera_of(read_yaml(path), path)
     with reading(path, "list of numbers"):
         numbers = [float(word) for word in text.replace(",", " ").split()]
     if len(numbers) == 6:
@@ -107,7 +103,7 @@ def camera_of(record: Any, source: object) -> Camera:
             f"{source} describes a fisheye lens ({record['camera_model']}), intrinsics describe a pinhole: "
             "undistort the pictures first"
         )
-    stored: Any = next((record[key] for key in _MATRICES if key in record), None)
+    stored: Any = _first(record, _MATRICES)
     sized = record
     if isinstance(stored, Mapping):
         sized = {**record, **stored}  # a table of its own states its size, too

@@ -80,11 +80,7 @@ class Mix(DepthDataset):
         return sample
 
     def draw_subset(self, places: int | Sequence[int], seed: int) -> None:
-        """Raise ValueError: an epoch draws from whole sources.
-
-        Raises:
-            ValueError: always; says what to set instead.
-        """
+        """Raise ValueError: an epoch draws from whole sources."""
         raise ValueError(
             f"subset={places}: a mix has no subset, because it draws from whole sources: set data.frames for "
             "fewer draws per epoch, or data.sources.<name>.weight for a source's share"

@@ -156,11 +156,7 @@ def missing_files(root: Path, files: Sequence[str]) -> list[str]:
 
 
 def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
-    """Raise FileNotFoundError unless every file, relative to ``root``, exists; ``advice``: where to look.
-
-    Raises:
-        FileNotFoundError: naming the first ten missing files and how many there are.
-    """
+    """Raise FileNotFoundError unless every file, relative to ``root``, exists; ``advice``: where to look."""
     missing = [str(root / file) for file in missing_files(root, files)]
     if missing:
         raise FileNotFoundError(
@@ -170,11 +166,7 @@ def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
 
 
 def check_inside(pairs: Sequence[tuple[str, str]], source: Path, advice: str) -> None:
-    """Raise ValueError for a list of files that leaves the data set's folder (``../``, or absolute).
-
-    Raises:
-        ValueError: naming the first such file; ``advice`` says what to do.
-    """
+    """Raise ValueError, with ``advice``, for a list of files that leaves the data set's folder (``../``)."""
     for file in (file for pair in pairs for file in pair):
         if os.path.isabs(file) or os.path.normpath(file).split(os.sep)[0] == os.pardir:
             raise ValueError(f"{source}: {file[:200]!r} is outside the data set's folder: {advice}")

@@ -389,10 +389,12 @@ def _written(value: Any) -> str:
 def _unpaired(folder: Path, settings: Mapping[str, Any], frames: Sequence[RecordedFrame]) -> list[str]:
     """A line each on the pictures and depth maps that have no partner."""
     lines = []
-    for place, (setting, kind) in enumerate((("images", "pictures"), ("depths", "depth maps"))):
+    used = {file for frame in frames for file in frame.files}
+    for setting, kind, endings in (
+        ("images", "pictures", IMAGE_ENDINGS),
+        ("depths", "depth maps", DEPTH_ENDINGS),
+    ):
         if setting in settings:
-            used = {file for frame in frames for file in frame.files}
-            endings = (IMAGE_ENDINGS, DEPTH_ENDINGS)[place]
             alone = sorted(set(find_frame_files(folder, settings[setting], endings).values()) - used)
             if alone:
                 lines.append(f"{len(alone)} {kind} have no partner, such as {alone[0]}")

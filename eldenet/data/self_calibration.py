@@ -157,10 +157,7 @@ def _lowest_peak(heights: np.ndarray) -> float:
 
 
 def fit_error(
-    pairs: Sequence[Pair],
-    intrinsics: np.ndarray,
-    forward: np.ndarray | None,
-    start: np.ndarray | None,
+    pairs: Sequence[Pair], intrinsics: np.ndarray, forward: np.ndarray | None, start: np.ndarray | None
 ) -> tuple[float, np.ndarray]:
     """Fit focal length, pitch and yaw; return the mean error of corners, and the camera for ``start``."""
     drive = _Drive(pairs, intrinsics, np.zeros(3) if forward is None else forward)

@@ -51,7 +51,7 @@ class OnnxTeacher:
     def __call__(self, image: Tensor) -> Tensor:
         """Images ``(B, 3, H, W)`` RGB in [0, 1] -> depth ``(B, 1, H, W)`` [m], at the map's own size."""
         images = (image.numpy() - self.mean) / self.std
-        maps = np.concatenate([np.reshape(self._map(one), (1, 1, *self._map_size)) for one in images])
+        maps = np.stack([self._map(one)[None] for one in images])
         if self.output == "depth":
             return from_numpy(maps * np.float32(self.scale))
         low, high = maps.min((2, 3), keepdims=True), maps.max((2, 3), keepdims=True)
@@ -60,8 +60,7 @@ class OnnxTeacher:
 
     def _map(self, image: np.ndarray) -> np.ndarray:
         answer = np.asarray(self._runtime.run(image[None]))
-        self._map_size = answer.shape[-2:]
-        is_map = answer.dtype.kind == "f" and answer.size == np.prod(self._map_size)
+        is_map = answer.dtype.kind == "f" and answer.size == np.prod(answer.shape[-2:])
         found = answer.astype(np.float32)
         if not is_map or not np.isfinite(found).all() or (self.output == "depth" and not (found > 0).any()):
             raise ValueError(
@@ -69,7 +68,7 @@ class OnnxTeacher:
                 f"{answer.max():g}: give a network that maps an image to one finite float map; depth is "
                 "above 0, a disparity needs output=disparity"
             )
-        return found
+        return found.reshape(answer.shape[-2:])
 
     @property
     def signature(self) -> dict[str, Any]:

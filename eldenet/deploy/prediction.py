@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldenet.data.bags import Bag, is_bag
-from eldenet.data.io import HEIF_ENDINGS
+from eldenet.data.io import HEIF_ENDINGS, read_image
 from eldenet.deploy.lens import Lens
 from eldenet.deploy.outputs import Results, name_results
 from eldenet.deploy.stream import DepthStream, is_live
@@ -119,8 +119,6 @@ def predict_pictures(
         ValueError: a picture cannot be read, or the lens does not fit it; with ``skip_unreadable``: none of
             them can be.
     """
-    from eldenet.data.io import read_image
-
     done = {path for path, name in names.items() if results.goes_on and results.has(name, Path(path))}
     pictures = {path: name for path, name in names.items() if path not in done}
     if done:

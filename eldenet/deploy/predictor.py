@@ -12,14 +12,7 @@ import numpy as np
 from eldenet.deploy.runtimes.base import Runtime, check_depth, check_known_lens
 from eldenet.deploy.sharpen import sharpen
 from eldenet.deploy.steady import SteadyFilter
-from eldenet.geometry import (
-    BORDER_COLOR,
-    fit_into,
-    focal_length,
-    grid_margins,
-    resize_image,
-    size_of_aspect,
-)
+from eldenet.geometry import BORDER_COLOR, fit_into, focal_length, grid_margins, resize_image, size_of_aspect
 from eldenet.system.resources import check_torch_device, full_fp32
 from eldenet.uncertainty import NO_SIGMA, DepthEstimate
 
@@ -105,7 +98,7 @@ class DepthPredictor:
         self.max_side = max_side
         self.steady, self.sharp = steady, sharp
         self._filters = threading.local()
-        self.stretch = float(getattr(model, "info", {}).get("stretch") or 1.0)
+        self.stretch = float(model.info.get("stretch") or 1.0)
         self._said = False  # that the network ignores cameras
         if isinstance(model, Runtime):
             if device is not None:
@@ -141,7 +134,7 @@ class DepthPredictor:
     @property
     def canonical_px(self) -> float | None:
         """Focal length of the network's canonical camera [px]; None: it ignores focal lengths."""
-        return getattr(self.model, "canonical_px", None)
+        return self.model.canonical_px
 
     @property
     def known_fov(self) -> float | None:
@@ -151,9 +144,7 @@ class DepthPredictor:
     @property
     def max_depth(self) -> float | None:
         """Largest depth that it can predict [m], for its canonical camera if it has one; None: any."""
-        if isinstance(self.model, Runtime):
-            return self.model.max_depth
-        return getattr(getattr(self.model, "head", None), "max_depth", None)
+        return self.model.max_depth if isinstance(self.model, Runtime) else self.model.head.max_depth
 
     def size_for(self, height: int, width: int) -> tuple[int, int]:
         """``(height, width)`` [px] at which the network sees a frame of ``height`` x ``width``."""

@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-WIDTH = (
-    64  # of the maps on which motion and correction are computed [px]: as steady as on full ones, and faster
-)
+# of the maps on which motion and correction are computed [px]: as steady as on full ones, and faster
+WIDTH = 64
 FINEST_SCALE = 1  # motion is measured on half of that: twice as fast, no worse
 NEW = 0.3  # share of the new depth where a pixel is recognized
 TOLERANCE = 20.0  # difference of gray values at which a pixel is hardly recognized

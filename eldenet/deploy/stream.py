@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from eldenet.data.bags import Bag
+from eldenet.deploy.video_files import JoinedTime, VideoFile
 from eldenet.system.escaping import without_password
 
 if TYPE_CHECKING:
@@ -187,8 +188,6 @@ class DepthStream:
             return not self._stop
 
     def _open_file(self, name: str) -> Generator[TimedFrame, None, None]:
-        from eldenet.deploy.video_files import VideoFile
-
         video = VideoFile(Path(name))
         self.frames_per_second, self.announced = video.frames_per_second, video.announced
         self._why_incomplete = video.why_incomplete
@@ -246,8 +245,6 @@ def _opened(camera: int | str, timeout: float | None) -> "cv2.VideoCapture | Non
 
 
 def _of_bag(bag: Bag, rate: float) -> Generator[TimedFrame, None, None]:
-    from eldenet.deploy.video_files import JoinedTime
-
     clock, start = JoinedTime(1 / rate), None
     for frame, stated in bag.frames():
         start = stated if start is None else start

@@ -24,16 +24,8 @@ VIDEO_ENDINGS = (
     ".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".avi", ".mkv", ".webm", ".wmv", ".asf", ".flv", ".ogv", ".mpg",
     ".mpeg", ".vob", ".ts", ".mts", ".m2ts", ".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg",
 )  # fmt: skip
-PLAYLISTS = {
-    "hls",
-    "applehttp",
-    "dash",
-    "concat",
-    "sdp",
-    "rtsp",
-    "imf",
-    "webm_dash_manifest",
-}  # FFmpeg's names
+# FFmpeg's names
+PLAYLISTS = {"hls", "applehttp", "dash", "concat", "sdp", "rtsp", "imf", "webm_dash_manifest"}
 LONGEST_STILL = 60.0  # [s]: a longer gap between two frames means that recordings were joined
 SLACK = 1.0  # [s] by which a file may end early; Matroska states its length exactly
 MATROSKA_SLACK = 0.1  # [s]

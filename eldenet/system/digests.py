@@ -51,9 +51,6 @@ def check_digests(config: Mapping[str, Any], path: Path, weights: Path) -> None:
     """Raise ValueError unless the config read from ``path`` and the weights beside it match their digests.
 
     Configs of earlier versions have none.
-
-    Raises:
-        ValueError: a digest does not match.
     """
     stored = config.get(KEY)
     found = {weights: ("weights", file_digest(weights)), path: ("config", digest_of(canonical(config)))}

@@ -37,9 +37,6 @@ def require(purpose: str, *packages: str) -> None:
     """Raise ImportError, with the command that installs them, if ``packages`` are missing.
 
     ``purpose`` is what needs them.
-
-    Raises:
-        ImportError: with the command that installs the packages.
     """
     missing = [package for package in packages if not installed(package)]
     if missing:

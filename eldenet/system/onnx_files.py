@@ -73,9 +73,7 @@ def open_session(path: str | Path, providers: Sequence[str] = (CPU,), *, threads
     options.log_severity_level = 3
     with reading(path, "ONNX file", EXPORT_AGAIN):
         session = onnxruntime.InferenceSession(
-            str(path),
-            options,
-            providers=[(name, OPTIONS.get(name, {})) for name in chosen],
+            str(path), options, providers=[(name, OPTIONS.get(name, {})) for name in chosen]
         )
     if session.get_providers()[0] != usable[0]:  # it falls back silently
         raise ValueError(f"ONNX Runtime has {usable[0]} but cannot start it: is its driver installed?")

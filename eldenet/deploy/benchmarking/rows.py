@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldenet.results.run_record import check_entries, check_figures
+from eldenet.results.run_record import check_entries, check_figures, environment, version_of
 from eldenet.system.digests import digest_of, weights_of
 from eldenet.system.files import parse_json
 
@@ -59,8 +59,6 @@ def append_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def machine() -> tuple[dict[str, Any], str]:
     """Versions, processor, cores and accelerator that all rows of a table share; and the command."""
-    from eldenet.results.run_record import environment, version_of
-
     facts = environment()
     shared = {name: facts["hardware"][name] for name in ("processor", "cores", "accelerator")}
     return {"versions": {name: version_of(name) for name in PACKAGES}, **shared}, facts["command"]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldenet.deploy.benchmarking.rows import COLUMNS, KEY
+from eldenet.system.files import part_file, write_rows, write_text
 
 if TYPE_CHECKING:
     from eldenet.results.run_log import RunLog
@@ -20,7 +21,6 @@ def write_results(
 ) -> None:
     """Write ``results.csv`` (full figures), ``.md`` and ``.tex`` (rounded) and ``.png``; print the table."""
     from eldenet.results.tables import to_latex, to_markdown
-    from eldenet.system.files import write_rows, write_text
 
     write_rows(output / "results.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
     cells = [[text_of(name, row[name]) for name in COLUMNS] for row in rows]
@@ -129,7 +129,6 @@ def draw(rows: Sequence[Mapping[str, Any]], accuracies: Accuracies | None, path:
     from matplotlib.ticker import LogLocator
 
     from eldenet.results.plots import name_points, pyplot_for_files
-    from eldenet.system.files import part_file
 
     given = accuracies is not None
     accuracy, title = accuracies or ({}, "")

@@ -91,11 +91,7 @@ class Runtime:
             )
             self.distribution: str | None = self._value("distribution")
         self.takes_frames = self.camera_size is not None
-        info = {
-            "input_size": self.fixed_size,
-            "stretch": stretch,
-            "model_name": self.metadata.get("model"),
-        }
+        info = {"input_size": self.fixed_size, "stretch": stretch, "model_name": self.metadata.get("model")}
         self.info: dict[str, Any] = {key: value for key, value in info.items() if value is not None}
         if self.shape[2:] == (None, None):
             self.fixed_size = None
