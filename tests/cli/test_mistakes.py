@@ -105,7 +105,6 @@ def answer(line: str) -> str:
         # values
         ("train canonical_focal=518", "canonical_focal=518: give it in widths of the input, 0.1 to 10"),
         ("train process_timeout=-3", "process_timeout=-3: give seconds above 0"),
-        ("train seed=one", "seed=one: give a whole number"),
         ("adapt intrinsics=440", "intrinsics=440: give [fx, fy, cx, cy]"),
         ("adapt minutes=5min", "minutes=5min: give a number"),
         ("predict source=a focal=26mm", "focal=26mm: give a number or null"),

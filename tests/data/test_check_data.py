@@ -1,8 +1,6 @@
 """``check_data`` on whole and on damaged data sets: everything wrong is named, nothing stops it."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -149,23 +147,6 @@ def test_the_command_ends_with_1(tmp_path: Path, run_command) -> None:
     finished = run_command("check_data", *arguments, "frames=0")
     assert finished.returncode == 1
     assert "frames=0" in finished.stderr
-
-
-def test_a_missing_folder_is_named_before_torch_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("ELDENET_DATA", raising=False)
-    code = (
-        "import sys; from eldenet.check_data import CheckDataSettings, check_data\n"
-        "from eldenet.compose import compose\n"
-        "try: check_data(compose(CheckDataSettings, sys.argv[1:]))\n"
-        "except FileNotFoundError as error: print(error)\n"
-        "assert 'torch' not in sys.modules"
-    )
-    for words, message in (
-        (["data.root=/nope"], "/nope is not a folder: set data.root"),
-        ([], "set data.root"),
-    ):
-        command = [sys.executable, "-c", code, "data=nyu_labelled", *words]
-        assert message in subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def test_a_sample_of_frames_is_evenly_spread(tmp_path: Path) -> None:

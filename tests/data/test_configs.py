@@ -265,5 +265,3 @@ def test_folder_takes_a_range_and_a_kind_of_its_own(tmp_path: Path) -> None:
     typo = compose(TrainSettings, ["data=folder", f"data.root={tmp_path}", "+data.train.no_such_option=1"])
     with pytest.raises(ValueError, match="no_such_option"):
         open_split(typo.data, "train", protocol)
-    with pytest.raises(FileNotFoundError, match=r"set data\.root"):
-        open_split(compose(TrainSettings, ["data=folder"]).data, "train", protocol)

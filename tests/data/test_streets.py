@@ -49,8 +49,6 @@ def test_lenses_have_folders_of_their_own(root):
     assert own.load_frame(0).intrinsics[0, 0] == pytest.approx(FOCAL["street"] * SIZE[1])
     assert {0.4 <= wide.load_frame(i).intrinsics[0, 0] / SIZE[1] <= 0.5 for i in range(8)} == {True}
     assert own.folder != wide.folder
-    with pytest.raises(ValueError, match=r"focal=\[2, 1\]: give \[low, high\]"):
-        Streets("val", 8, focal=[2, 1])
 
 
 def test_the_yaml_scores_streets_by_their_own_protocol(root):

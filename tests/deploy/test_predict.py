@@ -331,7 +331,6 @@ def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_
     for checkpoint, given, more in (
         (file, source, []),
         (file, source, boxes),
-        ("eldenet_rooms", tmp_path / "nothing", []),
         ("eldenet_rooms", "camera:99", []),
     ):
         words = [f"checkpoint={checkpoint}", f"source={given}", f"output={tmp_path / 'out'}", *more]
