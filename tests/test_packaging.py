@@ -66,7 +66,8 @@ def installed(wheel, tmp_path_factory) -> Path:
         except PackageNotFoundError:  # torch's libraries for a GPU
             continue
         todo += found.requires or []
-        for part in {file.parts[0] for file in found.files or ()} - {"..", "__pycache__"}:
+        modules = (found.read_text("top_level.txt") or "").split()  # old pips list the sources as files
+        for part in ({file.parts[0] for file in found.files or ()} | {*modules}) - {"..", "__pycache__"}:
             if not (site / part).exists():
                 (site / part).symlink_to(Path(str(found.locate_file(part))))
     pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin" / "python"), "install"]
