@@ -293,29 +293,17 @@ def open_runtime(
     Raises:
         ValueError: the network has no graph for any size, and no ``size`` is given.
     """
-    import numpy as np
-
     from eldenet.deploy import runtimes
 
     # where the model states no size, the graph is made at this one
     model.info = {"input_size": size} | model.info
     load = partial(runtimes.load, model, engine, threads=resources.threads, device=resources.device)
     try:
-        network = load()
+        return load()
     except ValueError:
         if size is None:
             raise
         return load(size=size)
-    try:  # networks that round sides down fail here, under each runtime in its way
-        network(np.zeros((1, 3, 48, 80), np.float32))
-    except Exception as error:
-        if size is None:
-            raise ValueError(
-                f"engine={engine}: this network has no graph for any size: give input_size=[height,width] or "
-                "engine=torch"
-            ) from error
-        return load(size=size)
-    return network
 
 
 def open_predictor(

@@ -21,7 +21,7 @@ from eldenet.deploy.fold import fold
 from eldenet.deploy.metadata import BLANK, DIGEST, PREFIX, PRODUCER, read_metadata, sealed
 from eldenet.deploy.runtimes.base import FOCAL
 from eldenet.geometry import focal_of_fov, same_aspect, size_of_aspect
-from eldenet.model import DepthNet
+from eldenet.model import DepthNet, EncoderDecoder
 from eldenet.system.errors import first_line
 from eldenet.system.files import write_bytes
 from eldenet.system.onnx_files import read_graph
@@ -62,7 +62,8 @@ def write_onnx(
 
     Raises:
         ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, the
-            network ignores lenses but there is a ``fov``, or the opset cannot express it, or not at any size.
+            network ignores lenses but there is a ``fov``, or the opset cannot express it, or not at any size
+            (as networks that round odd sides down).
     """
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
@@ -75,7 +76,10 @@ def write_onnx(
         raise ValueError(
             f"fov={fov:g}: this network ignores lenses: train with canonical_focal, or leave it out"
         )
+    only_one_size = f"this network has no graph for any size: give size={list(size)} (predict: input_size=)"
     network: nn.Module = fold(model).cpu()
+    if any_size and rounds_down(network):
+        raise ValueError(only_one_size)
     asks = model.sees_rays and fov is None
     outputs, lens = ["depth"], [torch.full((batch or 2,), 0.8 * size[1])] * asks
     if model.distribution is not None:
@@ -99,9 +103,21 @@ def write_onnx(
             graph = _to_onnx(network.eval(), (example, *lens), (inputs, outputs), axes, opset)
     except RuntimeError as error:  # base class of the exporter's errors
         if any_size:
-            raise ValueError(f"this network has no graph for any size: give size={list(size)}") from error
+            raise ValueError(only_one_size) from error
         raise ValueError(f"opset={opset} cannot express this network: {first_line(error)}") from error
     return write_graph(graph, Path(path), metadata or {})
+
+
+def rounds_down(network: nn.Module) -> bool:
+    """Whether the backbone rounds odd sides down; a graph at any size would lack the decoder's padding."""
+    inner = next((part for part in network.modules() if isinstance(part, EncoderDecoder)), None)
+    if inner is None:
+        return False
+    info = inner.backbone.feature_info
+    side = 2 * max(each.stride for each in info) + 1  # odd after each halving that rounds up
+    with torch.inference_mode():
+        features = inner.backbone(torch.zeros(1, 3, side, side))
+    return any(side > each.stride * len(map_[0, 0]) for each, map_ in zip(info, features, strict=True))
 
 
 def _to_onnx(

@@ -266,9 +266,7 @@ def test_a_network_without_a_graph_for_any_size_runs_at_one(tmp_path: Path) -> N
     pytest.importorskip("onnxruntime")
     folder = rounding_down_net().save_pretrained(tmp_path / "model", info={"input_size": [64, 96]})
     words = [folder, tmp_path / "a.png", tmp_path / "out", "engine=onnxruntime"]
-    with pytest.raises(
-        ValueError, match=r"no graph for any size: give input_size=\[height,width\] or engine"
-    ):
+    with pytest.raises(ValueError, match=r"no graph for any size: .*\(predict: input_size=\)"):
         open_predictor(settings(*words), RunLog(tmp_path, quiet=True))
     predictor = open_predictor(settings(*words, "input_size=[64,96]"), RunLog(tmp_path, quiet=True))
     assert predictor(photo(90, 160)).shape == (90, 160)
