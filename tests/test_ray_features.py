@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.networks import picture, small_net
+from support.networks import lens_net, picture, small_net
 from support.predicting import photo
 from support.synthetic import SyntheticDepth
 from support.training import ONE_THREAD, PROTOCOL, make_trainer
@@ -24,7 +24,7 @@ from eldenet.deploy.predictor import DepthPredictor
 from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.cost import count_macs
 from eldenet.evaluation.evaluator import evaluate, predict_depth, predict_spread
-from eldenet.heads import LogHead, UncertainHead
+from eldenet.heads import LogHead
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.distillation import DistilledTerm, Teacher
 from eldenet.losses.pointwise import L1Loss
@@ -41,22 +41,17 @@ FOCAL = torch.tensor([30.0, 90.0, 0.0, torch.nan])
 @pytest.fixture(scope="module")
 def model() -> DepthNet:
     """It has sigma, and has learnt something of lenses."""
-    net = small_net(
-        rays=RayFeatures, head=UncertainHead(LogHead()), canonical_focal=0.8, canonical_width=SIZE[1]
+    net = lens_net(*SIZE)
+    torch.nn.init.normal_(
+        net.network.decoder.predict.weight, std=0.1, generator=torch.Generator().manual_seed(1)
     )
-    net.info = {"input_size": list(SIZE)}
-    generator = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        net.network.decoder.predict.weight.normal_(0, 0.3, generator=generator)
-        for convs in net.network.rays.convs.values():
-            convs[2].weight.normal_(0, 0.3, generator=generator)
     return net
 
 
 @pytest.fixture(scope="module")
 def plain(model: DepthNet) -> DepthNet:
     """The same network without rays."""
-    net = small_net(head=UncertainHead(LogHead()), canonical_focal=0.8, canonical_width=SIZE[1])
+    net = lens_net(*SIZE, rays=None)
     net.load_state_dict(model.state_dict(), strict=False)
     return net
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from support.networks import picture, small_net
+from support.networks import lens_net, picture, small_net
 from support.predicting import photo, save
 
 from eldenet.compose import compose
@@ -18,7 +18,6 @@ from eldenet.deploy.runtimes.module import RuntimeNetwork
 from eldenet.evaluation.evaluator import predict_depth, predict_spread
 from eldenet.export import ExportSettings, export
 from eldenet.geometry import BORDER_COLOR, focal_of_fov, pinhole
-from eldenet.heads import LogHead, UncertainHead
 from eldenet.model import DepthNet
 from eldenet.ray_features import RayFeatures
 
@@ -29,15 +28,7 @@ SIZE, FOV = (32, 64), 70.0
 
 @pytest.fixture(scope="module", params=[RayFeatures, None], ids=["rays", "no rays"])
 def model(request: pytest.FixtureRequest) -> DepthNet:
-    torch.manual_seed(0)
-    net = small_net(
-        rays=request.param, head=UncertainHead(LogHead()), canonical_focal=0.8, canonical_width=SIZE[1]
-    )
-    net.info = {"input_size": list(SIZE)}
-    if request.param:
-        for convs in net.network.rays.convs.values():
-            torch.nn.init.normal_(convs[2].weight, std=0.3)
-    return net
+    return lens_net(*SIZE, rays=request.param)
 
 
 @pytest.fixture(scope="module")

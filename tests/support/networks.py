@@ -12,8 +12,9 @@ from eldenet.backbones.pplcnet import PPLCNet
 from eldenet.backbones.timm import TimmBackbone
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.deploy.predictor import DepthPredictor
-from eldenet.heads import LinearHead
+from eldenet.heads import LinearHead, LogHead, UncertainHead
 from eldenet.model import DepthNet
+from eldenet.ray_features import RayFeatures
 
 
 def small_net(seed: int = 0, **options: Any) -> DepthNet:
@@ -22,16 +23,27 @@ def small_net(seed: int = 0, **options: Any) -> DepthNet:
     return DepthNet.from_parts(**options).eval()
 
 
-def light_net() -> DepthNet:
+def light_net(**options: Any) -> DepthNet:
     """One of few operations: a file of any size takes half as long as that of :func:`small_net`."""
     backbone, decoder = EfficientNetLite(blocks=[1, 1]), partial(FastUpConvDecoder, modules=2)
-    return small_net(backbone=backbone, decoder=decoder)
+    return small_net(**{"backbone": backbone, "decoder": decoder} | options)
+
+
+def lens_net(height: int, width: int, rays: type[RayFeatures] | None = RayFeatures) -> DepthNet:
+    """One of few operations that has sigma and a canonical camera; what it learnt of its rays is random."""
+    parts: dict[str, Any] = {"backbone": EfficientNetLite(blocks=[1] * 4), "head": UncertainHead(LogHead())}
+    net = small_net(rays=rays, canonical_focal=0.8, canonical_width=width, **parts)
+    net.info = {"input_size": [height, width]}
+    generator = torch.Generator().manual_seed(0)
+    for convs in net.network.rays.convs.values() if rays else ():
+        torch.nn.init.normal_(convs[2].weight, std=0.3, generator=generator)
+    return net
 
 
 def rounding_down_net() -> DepthNet:
     """A ConvNeXt, whose features of odd sizes are rounded down; skips the test without timm."""
     pytest.importorskip("timm")
-    parts = TimmBackbone("test_convnext"), partial(FastUpConvDecoder, modules=2), LinearHead()
+    parts = TimmBackbone("test_convnext2"), partial(FastUpConvDecoder, modules=2), LinearHead()
     return DepthNet.from_parts(*parts)
 
 
