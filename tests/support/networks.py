@@ -32,7 +32,7 @@ def light_net(**options: Any) -> DepthNet:
 def lens_net(height: int, width: int, rays: type[RayFeatures] | None = RayFeatures) -> DepthNet:
     """One of few operations that has sigma and a canonical camera; what it learnt of its rays is random."""
     parts: dict[str, Any] = {"backbone": EfficientNetLite(blocks=[1] * 4), "head": UncertainHead(LogHead())}
-    net = small_net(rays=rays, canonical_focal=0.8, canonical_width=width, **parts)
+    net = light_net(rays=rays, canonical_focal=0.8, canonical_width=width, **parts)
     net.info = {"input_size": [height, width]}
     generator = torch.Generator().manual_seed(0)
     for convs in net.network.rays.convs.values() if rays else ():
