@@ -21,6 +21,7 @@ from eldenet.geometry import (
     check_intrinsics,
     focal_length,
     focal_of_film,
+    focal_of_fov,
     intrinsic_matrix,
     pinhole,
     same_aspect,
@@ -73,6 +74,7 @@ class Lens:
         self.found = ""
         self.origins: Counter[str] = Counter()
         self.centered = False
+        self._sizes: set[tuple[int, int]] = set()
 
     def focal_of(self, size: Sequence[int], photo: "Photo | None" = None) -> float | None:
         """Fx [px] of a picture of ``(height, width, ...)``; None: the canonical camera's.
@@ -115,6 +117,13 @@ class Lens:
     def _find(self, size: Sequence[int], photo: "Photo | None") -> tuple[float | None, str]:
         """Fx [px] of a picture, and where it comes from."""
         if self.given:
+            self._sizes.add((size[0], size[1]))
+            if self.fov is not None and size[0] != size[1] and (size[1], size[0]) in self._sizes:
+                focal = focal_of_fov(self.fov, max(size[:2]))
+                warn_once(
+                    f"fov={self.fov:g} counts across each picture's width, and some are upright, some not: "
+                    f"if one camera took them, give focal={focal:.0f} (fov across the long side)"
+                )
             return focal_length(None, self.fov, (size[0], size[1]), self.focal), self.origin
         if isinstance(photo, Path) and (camera := object_camera(photo)) is not None:
             return float(camera.intrinsics[0, 0]), "from calib/"

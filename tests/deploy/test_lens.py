@@ -167,6 +167,18 @@ def test_exif_of_a_crop_of_another_shape_is_not_its_lens(
     assert exif_focal(tmp_path / "b.jpg", (48, 24)) is None
 
 
+def test_a_field_of_view_of_upright_and_of_other_pictures_is_asked_about(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A phone that was turned keeps its focal length, not its horizontal field of view."""
+    for size, warned in (((48, 64), False), ((48, 80), False), ((64, 48), True)):
+        lens = Lens(100.0, fov=60)
+        for one in ((48, 64), size):
+            lens.focal_of(one)
+        assert ("give focal=55 (fov across the long side)" in caplog.text) == warned
+    assert focal_of_fov(60, 64) == pytest.approx(55, abs=0.5)
+
+
 def test_given_beats_exif_beats_canonical(tmp_path: Path) -> None:
     path = photo_with_exif(tmp_path / "a.jpg", (48, 64), 26)
     assert Lens(50.0, focal=70.0).focal_of((48, 64), path) == 70.0
