@@ -93,10 +93,8 @@ def depth_to_ranges(
     away = depth if low is None else np.minimum(low, depth)
     ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
     rows = _rows_at(down[:, width // 2] if any(tilt) else down[:, 0], camera_height, robot, heights)
-    shows = [
-        (at, np.broadcast_to(_touches(camera_height - down * at, heights), ranges.shape))
-        for at in (LEAST_REACH, robot.far)
-    ]
+    shown = np.broadcast_to(_touches(camera_height - down * LEAST_REACH, heights), ranges.shape)
+    least_rows = np.interp(LEAST_REACH, *rows)
     least = min(math.radians(LEAST_VIEW), robot.field_of_view) / 2
     ahead = np.abs(robot.column_angles) < least
     out = np.full(robot.columns, robot.far)
@@ -104,8 +102,7 @@ def depth_to_ranges(
         here = column == number
         pixels = ranges[here] if any(tilt) else ranges[:, here]
         outliers = OUTLIERS * (pixels.size / height)  # of each row that a surface would fill
-        seen = [(at, shown[here] if any(tilt) else shown[:, here]) for at, shown in shows]
-        if not any(shown.sum() > outliers * np.interp(at, *rows) for at, shown in seen):
+        if not (shown[here] if any(tilt) else shown[:, here]).sum() > outliers * least_rows:
             out[number] = np.nan
             if ahead[number]:
                 raise ValueError(
