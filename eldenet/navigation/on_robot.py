@@ -272,17 +272,17 @@ def unsure_share(depth: np.ndarray, sigma: np.ndarray) -> float:
     """
     if depth.ndim != 2 or sigma.shape != depth.shape:
         raise ValueError(f"sigma has shape {sigma.shape}, depth {depth.shape}: give both as (H, W) [m]")
-    return float(np.mean(np.isnan(sigma) | DepthEstimate(depth, sigma).unsure))
+    return float(np.mean(~(sigma >= 0) | DepthEstimate(depth, sigma).unsure))
 
 
 def nearest_depth(depth: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Return how near things may be ``(H, W)`` [m], of a depth map with ``sigma (H, W)`` [m].
 
-    It is 0 where sigma is nan, and inf where depth is unknown.
+    It is 0 where sigma is nan or negative, and inf where depth is unknown.
     """
     with np.errstate(all="ignore"):
         low = DepthEstimate(depth, sigma, "laplace").interval(CAUTION)[0]
-    return np.where(depth > 0, np.where(np.isnan(low), 0.0, low), np.inf)
+    return np.where(depth > 0, np.where((sigma >= 0) & ~np.isnan(low), low, 0.0), np.inf)
 
 
 def _warn_of_floor_below(rows: int, matrix: np.ndarray, height: float, pitch: float) -> None:

@@ -81,13 +81,13 @@ def test_it_stands_behind_a_covered_lens_and_drives_by_an_ordinary_picture(make,
 def test_sigma_is_how_near_things_may_be(make):
     """As an arena's camera says: the 80 % interval of Laplace's distribution, 1.138 sigma to each side."""
     seen = []
-    for sigma in (None, 0.5, np.nan):
+    for sigma in (None, 0.5, np.nan, -0.5):
         driver = make()
         driver.commands = lambda senses: seen.append(senses) or np.zeros((1, 2))
         depth = np.full((480, 640), 2.0)
         unsure = None if sigma is None else np.where(np.arange(640) < 320, sigma, 0.0) * np.ones((480, 1))
         driver.step(depth, (5.0, 0.0), (0.0, 0.0, 0.0), sigma=unsure, intrinsics=CAMERA)
-    for senses, factor in zip(seen, (1.0, math.exp(-1.138 * 0.5 / 2), 0.0), strict=True):
+    for senses, factor in zip(seen, (1.0, math.exp(-1.138 * 0.5 / 2), 0.0, 0.0), strict=True):
         np.testing.assert_allclose(senses.ranges[0], 2 / np.cos(ROBOT.column_angles), rtol=0.05)
         right, left = senses.cautious[0, 3:17], senses.cautious[0, 23:37]
         np.testing.assert_allclose(right, senses.ranges[0, 3:17], rtol=1e-3)
