@@ -23,6 +23,7 @@ LOWEST_CAMERA = 0.01  # [m]
 LEAST_REACH = 3.0  # what stands so far ahead must be in the picture [m]
 MOST_TILTED = 0.5  # pitch and roll of a camera; more are degrees given as radians [rad]
 CAUTION = 0.8  # of the interval of depth whose low end is how near things may be
+LEAVES = 0.1  # what a picture shows in the lowest so many meters at a distance may reach below it
 STANDS = 0.9  # share of the floor's depth below which a pixel shows what stands on the floor
 _BEYOND = 100.0  # stands for infinite [m]
 
@@ -47,6 +48,9 @@ def depth_to_ranges(
     pixels (0, negative, nan) belong to the object that is visible right below them, or stand on the floor
     there: small holes end below ``heights`` and are ignored, a patch that could hide an obstacle is one.
     Without visible floor below, the camera may be blind close up, and the column reads as near.
+
+    Where the lowest that the picture shows at a distance is above ``heights``, what it shows there counts as
+    an obstacle: a wall close to a high camera goes on below the picture.
 
     Columns beside the camera's view are nan, and so are empty ones where a tilted camera sees the floor close
     by and nothing of what stands :data:`LEAST_REACH` ahead. At least :data:`LEAST_VIEW` degrees must show it.
@@ -89,7 +93,8 @@ def depth_to_ranges(
         depth = _standing_on_the_floor(depth, known, down, camera_height, heights[0])
     above_floor = camera_height - down * depth
     # what is too close or may hide something counts at any height: the camera may be above the robot
-    counts = (depth == 0) | _touches(above_floor, heights)
+    lowest = camera_height - down.max(axis=0) * depth
+    counts = (depth == 0) | _touches(above_floor, heights) | _leaves_below(above_floor, lowest, heights)
     away = depth if low is None else np.minimum(low, depth)
     ranges = np.where(counts, away * np.sqrt(1 + right * right), np.inf)
     rows = _rows_at(down[:, width // 2] if any(tilt) else down[:, 0], camera_height, robot, heights)
@@ -130,16 +135,22 @@ def _touches(above_floor: np.ndarray, heights: tuple[float, float]) -> np.ndarra
     return (above_floor > heights[0]) & (above_floor < heights[1])
 
 
+def _leaves_below(above_floor: np.ndarray, lowest: np.ndarray, heights: tuple[float, float]) -> np.ndarray:
+    """Which pixels may show what goes on below the picture; ``lowest`` is its lower edge at their depth."""
+    return (above_floor >= heights[1]) & (above_floor < lowest + LEAVES)
+
+
 def _rows_at(
     down: np.ndarray, camera_height: float, robot: Robot, heights: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depths [m], and how many pixel rows see heights that can touch the robot there ``(21,)`` each.
+    """Depths [m], and how many pixel rows see what counts as an obstacle there ``(21,)`` each.
 
     Depth 0 stands for blind pixels, which any row may have.
     """
     depths = np.geomspace(robot.near, robot.far, 20)
     above = camera_height - down * depths[:, None]
-    seen = _touches(above, heights).sum(axis=1)
+    lowest = above.min(axis=1, keepdims=True)
+    seen = (_touches(above, heights) | _leaves_below(above, lowest, heights)).sum(axis=1)
     return np.array([0.0, *depths]), np.array([len(down), *seen])
 
 

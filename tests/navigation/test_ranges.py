@@ -189,6 +189,20 @@ def test_no_column_is_free_that_shows_too_little_of_a_wall_for_an_obstacle(
     assert np.nanmax(ranges) < 3.0 / math.cos(ROBOT.field_of_view / 2) + 0.1
 
 
+@pytest.mark.parametrize(("camera_height", "pitch", "roll"), [(1.4, 0.0, 0.0), (1.0, -0.15, 0.1)])
+@pytest.mark.parametrize("away", [0.5, 1.0, 2.0])
+def test_a_wall_is_near_though_a_high_camera_shows_only_what_is_above_the_robot(
+    away: float, camera_height: float, pitch: float, roll: float
+) -> None:
+    rays = np.stack(np.meshgrid((np.arange(160) - 79.5) / 115, (np.arange(90) - 44.5) / 115, [1.0]))
+    _, down, ahead = level_rotation(pitch, roll) @ rays.reshape(3, -1)
+    depth = np.minimum(away / ahead, camera_height / np.maximum(down, 1e-6)).reshape(90, 160)
+    camera = {"camera_height": camera_height, "tilt": (pitch, roll)}
+    ranges = depth_to_ranges(depth, (115, 115, 79.5, 44.5), **camera)
+    assert ranges[20] == pytest.approx(away, rel=0.01)
+    assert np.nanmax(ranges) < away / math.cos(ROBOT.field_of_view / 2)
+
+
 @pytest.mark.parametrize(
     ("camera_height", "pitch", "roll"),
     [(0.4, 0.5, 0.0), (0.4, -0.5, 0.0), (0.4, 0.36, 0.3), (1.2, 0.0, 0.0), (2.5, 0.0, 0.0)],
