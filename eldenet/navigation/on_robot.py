@@ -129,11 +129,12 @@ class OnRobot:
             values (0, nan) of ``depth`` read as near, and inf as free.
 
         Raises:
-            ValueError: an argument is no number or has no numbers, ``depth`` has another shape or is in
-                millimeters, ``sigma`` is not of its shape, a pose, goal or intrinsics have another length, a
-                goal's bearing is in degrees, a depth map has no intrinsics or those of no lens, its camera
-                or lidar sees less than 25 degrees to each side, a scan's angles are not one in radians per
-                range, or ``camera_height``, ``latency``, ``max_speed`` or a tilt is out of range.
+            ValueError: an argument is no number or has no numbers, ``depth`` or ``image`` has another shape,
+                ``depth`` is in millimeters, ``sigma`` is not of its shape, a pose, goal or intrinsics have
+                another length, a goal's bearing is in degrees, a depth map has no intrinsics or those of no
+                lens, its camera or lidar sees less than 25 degrees to each side, a scan's angles are not one
+                in radians per range, or ``camera_height``, ``latency``, ``max_speed`` or a tilt is out of
+                range.
         """
         for name, value in (
             ("camera_height", camera_height), ("camera_pitch", camera_pitch), ("camera_roll", camera_roll),
@@ -150,8 +151,13 @@ class OnRobot:
             depth = scan.ranges
         depth = _numbers("depth", depth)  # its own type, which as_ranges checks
         sigma = None if sigma is None else _numbers("sigma", sigma).astype(np.float64)
-        if image is not None and (image := _numbers("image", image)).dtype != np.uint8:
-            raise ValueError(f"image has type {image.dtype}: give the camera's frame (H, W, 3) uint8 RGB")
+        if image is not None:
+            image = _numbers("image", image)
+            if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
+                raise ValueError(
+                    f"image has type {image.dtype} and shape {image.shape}: give the camera's frame (H, W, "
+                    "3) uint8 RGB"
+                )
         now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
         check_bearing(goal_row[0, 1], now[0, 2])
         then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)

@@ -74,8 +74,9 @@ def test_a_setting_that_is_no_number_is_refused(name, wrong):
 
 
 def test_a_picture_is_bytes_and_a_tilt_radians():
-    with pytest.raises(ValueError, match=r"^image has type float64: give the camera's frame"):
-        Navigator.load().step(FREE, GOAL, POSE, image=np.zeros((4, 4, 3)))
+    for image in (np.zeros((4, 4, 3)), np.zeros((3, 4, 4), np.uint8), np.zeros((1, 4, 4, 3), np.uint8)):
+        with pytest.raises(ValueError, match=r"^image has type .* and shape .*: give the camera's frame"):
+            Navigator.load().step(FREE, GOAL, POSE, image=image)
     with pytest.raises(ValueError, match=r"^camera_pitch=5\.0: give radians"):
         Navigator.load().step(hall(), GOAL, POSE, intrinsics=CAMERA, camera_pitch=5.0)
 
