@@ -242,7 +242,8 @@ def compare_with_torch(
         try:
             estimates = [network.predict(*given) for given in zip(inputs, lenses, strict=True)]
         except Exception as error:  # each runtime has a class of its own
-            raise ValueError(f"{output} was removed, as {name} cannot run it ({error})") from error
+            advice = f" at any size: give size={list(target.size)}, or another one" * target.any_size
+            raise ValueError(f"{output} was removed, as {name} cannot run it{advice} ({error})") from error
         for kind in outputs:
             ours = np.concatenate([getattr(estimate, kind)[0, 0].ravel() for estimate in estimates])
             theirs = np.concatenate([maps[kind].ravel() for maps in reference])

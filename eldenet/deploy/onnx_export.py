@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from io import BytesIO, StringIO
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,7 +64,7 @@ def write_onnx(
     Raises:
         ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, the
             network ignores lenses but there is a ``fov``, or the opset cannot express it, or not at any size
-            (as networks that round odd sides down).
+            (as networks that round odd sides down, or take none).
     """
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
@@ -109,15 +110,22 @@ def write_onnx(
 
 
 def rounds_down(network: nn.Module) -> bool:
-    """Whether the backbone rounds odd sides down; a graph at any size would lack the decoder's padding."""
+    """Whether a graph at any size would lack the decoder's padding, or the backbone takes no odd sides.
+
+    Decoders pad where a backbone rounds a feature's odd sides down for the next one.
+    """
     inner = next((part for part in network.modules() if isinstance(part, EncoderDecoder)), None)
     if inner is None:
         return False
-    info = inner.backbone.feature_info
-    side = 2 * max(each.stride for each in info) + 1  # odd after each halving that rounds up
-    with torch.inference_mode():
-        features = inner.backbone(torch.zeros(1, 3, side, side))
-    return any(side > each.stride * len(map_[0, 0]) for each, map_ in zip(info, features, strict=True))
+    strides = [info.stride for info in inner.backbone.feature_info]
+    side = 2 * max(strides) + min(strides)  # the first feature has an odd side, and so on
+    try:
+        with torch.inference_mode():
+            features = inner.backbone(torch.zeros(1, 3, side, side))
+    except Exception:  # of a fixed size or of windows: each fails in its way
+        return True
+    sides = [stride * len(map_[0, 0]) for stride, map_ in zip(strides, features, strict=True)]
+    return any(finer > coarser for finer, coarser in pairwise(sides))
 
 
 def _to_onnx(

@@ -1,5 +1,6 @@
 """``python -m eldenet.export``, for every family of networks in the zoo."""
 
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -9,15 +10,19 @@ import torch
 from support.networks import canonical_net, light_net, rounding_down_net, small_net
 
 import eldenet
+from eldenet.backbones.base import Backbone, outputs_of
 from eldenet.backbones.efficientnet import EfficientNetLite
 from eldenet.compose import compose
+from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.upconv import UpConvDecoder
 from eldenet.deploy import runtimes
 from eldenet.deploy.metadata import read_metadata
+from eldenet.deploy.onnx_export import rounds_down, write_onnx
 from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.export import ExportSettings, compare_with_torch, export, map_errors, target_of
 from eldenet.results.run_log import RunLog
+from eldenet.types import FeatureInfo
 from eldenet.uncertainty import DepthEstimate
 
 pytest.importorskip("onnxruntime")
@@ -60,8 +65,6 @@ def image_of(photos: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -> None:
-    from eldenet.deploy.onnx_export import write_onnx
-
     torch.manual_seed(0)
     model = eldenet.load(name)
     image = np.random.default_rng(0).random((1, 3, *SIZE), dtype=np.float32)
@@ -244,8 +247,6 @@ def test_pictures_are_spread_evenly(photos: Path) -> None:
 
 
 def test_a_file_of_any_size_crops_what_a_decoder_makes_beyond_an_odd_image(tmp_path: Path) -> None:
-    from eldenet.deploy.onnx_export import write_onnx
-
     network = small_net(backbone=EfficientNetLite(blocks=[1] * 4), decoder=UpConvDecoder)
     path = write_onnx(network, tmp_path / "any.onnx", (64, 96), any_size=True)
     file, image = runtimes.load(path, "onnxruntime", threads=1), torch.rand(1, 3, 49, 67)
@@ -259,6 +260,46 @@ def test_a_network_that_rounds_down_has_no_file_of_any_size(photos: Path, tmp_pa
     with pytest.raises(ValueError, match=r"no graph for any size: give size=\[64, 96\]"):
         run(folder, photos, f"output='{tmp_path / 'm.onnx'}'")
     assert not list(tmp_path.glob("*.onnx"))
+
+
+class Patches(Backbone):
+    """Patches of 4 x 4 pixels, then a convolution that rounds odd sides up; ``fixed``: of one size alone."""
+
+    def __init__(self, fixed: int = 0) -> None:
+        super().__init__()
+        self.feature_info = (FeatureInfo(8, 4), FeatureInfo(16, 8))
+        self.parts = torch.nn.ModuleList(
+            [torch.nn.Conv2d(3, 8, 4, stride=4), torch.nn.Conv2d(8, 16, 3, stride=2, padding=1)]
+        )
+        self.fixed = fixed
+
+    def forward(self, image: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        assert self.fixed in (0, image.shape[-1])  # as timm's Swin
+        return outputs_of(self.parts, image, (0, 1))
+
+
+def test_patches_that_leave_out_an_edge_have_a_graph_for_any_size() -> None:
+    """PoolFormer: no decoder pads, as only the first feature is rounded down."""
+    decoder = partial(FastUpConvDecoder, modules=1)
+    assert not rounds_down(small_net(backbone=Patches(), decoder=decoder))
+
+
+def test_a_backbone_of_one_size_has_no_graph_for_any_size(tmp_path: Path) -> None:
+    network = small_net(backbone=Patches(64), decoder=partial(FastUpConvDecoder, modules=1))
+    with pytest.raises(ValueError, match="this network has no graph for any size"):
+        write_onnx(network, tmp_path / "m.onnx", (64, 64), any_size=True)
+
+
+def test_a_runtime_that_cannot_run_a_file_of_any_size_is_named_with_advice(
+    model_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lite-Mono's padding cannot be told from its features."""
+    model = eldenet.load(model_folder)
+    target = target_of(compose(ExportSettings, [f"checkpoint='{model_folder}'"]), model)
+    monkeypatch.setattr(runtimes, "load", lambda *_, **__: None)  # whatever it raises
+    picture = np.zeros((*SIZE, 3), np.uint8)
+    with pytest.raises(ValueError, match=rf"cannot run it at any size: give size=\[{SIZE[0]}, {SIZE[1]}\]"):
+        compare_with_torch(target, model, [picture], RunLog(tmp_path))
 
 
 def test_a_file_of_any_size_predicts_what_torch_predicts(photos: Path, tmp_path: Path) -> None:
