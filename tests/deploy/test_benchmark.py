@@ -260,6 +260,8 @@ def test_accuracies_are_means_over_seeds_under_one_protocol(tmp_path: Path) -> N
     with pytest.raises(ValueError, match=r"accuracies=.*protocol differs"):
         run(tmp_path / "out", f"accuracies=['{tmp_path}']")
     assert not (tmp_path / "out" / "rows.jsonl").exists()  # before anything was measured
+    with pytest.raises(ValueError, match=r"run\.json has no cost\.height"):
+        read_accuracies([str(stored(tmp_path, "f", cost={}))], "delta1", names)
 
 
 def test_a_sweep_is_no_accuracy_of_one_network(tmp_path: Path) -> None:

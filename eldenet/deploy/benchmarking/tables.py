@@ -100,7 +100,7 @@ def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]
 
     if not folders:
         return None
-    found = find_runs(list(folders))
+    found = find_runs(list(folders), needed=("cost.height", "cost.width"))
     runs = [run for run in found if str(run["model"]) in models]
     if not runs:
         names = ", ".join(sorted({str(run["model"]) for run in found}))
