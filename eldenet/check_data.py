@@ -129,9 +129,13 @@ def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found
     ]
     for split_name, line, _ in guesses:
         log.say(f"{split_name}: {line}")
-    farther, others = (sum(split.farther_below[place] for split in found.splits) for place in (0, 1))
-    if line := inverse_doubt(farther, others):  # of all splits: a few neighboring frames prove nothing
-        log.say(line)
+    asked = {split.split: split.farther_below for split in found.splits}
+    # small splits only together: a few neighboring frames prove nothing
+    together = (sum(farther for farther, _ in asked.values()), sum(others for _, others in asked.values()))
+    lines = {name: inverse_doubt(*each) for name, each in asked.items() if sum(each) >= 20}
+    for name, line in (lines or {"all splits": inverse_doubt(*together)}).items():
+        if line:
+            log.say(f"{name}: {line}")
     if found.faults:
         verdict = "something is wrong, see above"
     elif any(implausible for *_, implausible in guesses):

@@ -1,5 +1,6 @@
 """Cameras as recorders store them beside their frames: intrinsics, the size they describe, and the pose."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,7 +9,7 @@ import numpy as np
 
 from eldenet.geometry import check_intrinsics, intrinsic_matrix, resize_intrinsics, same_aspect
 from eldenet.system.errors import reading, warn_once
-from eldenet.system.files import parse_json, read_text, read_yaml
+from eldenet.system.files import parse_json, read_text
 
 CAMERA_ENDINGS = (".json", ".txt", ".csv", ".yaml", ".yml", ".pincam")
 CENTRAL = 0.1  # how far from the middle a principal point may lie, as a share of the side
@@ -66,7 +67,7 @@ def _text(size: tuple[int, int]) -> str:
 
 
 def read_camera(path: Path) -> Camera:
-    """Read one camera: JSON, a calibration of ROS (YAML), or a text file of numbers.
+    """Read one camera: JSON, a calibration of ROS or OpenCV (YAML), or a text file of numbers.
 
     Numbers are a matrix (3 x 3, 4 x 4, separated by spaces or commas), ``fx fy cx cy``, or ARKitScenes's
     ``width height fx fy cx cy``.
@@ -80,7 +81,13 @@ def read_camera(path: Path) -> Camera:
     if ending == ".json":
         return camera_of(parse_json(text, path), path)
     if ending in (".yaml", ".yml"):
-        return camera_of(read_yaml(path), path)
+        import yaml
+
+        # OpenCV's FileStorage begins with a directive that YAML lacks, and has types of its own
+        plain = re.sub(r"^%YAML:1\.0|!!opencv-(nd-)?matrix", "", text)
+        with reading(path, "YAML file"):
+            record = yaml.safe_load(plain)
+        return camera_of(record, path)
     with reading(path, "list of numbers"):
         numbers = [float(word) for word in text.replace(",", " ").split()]
     if len(numbers) == 6:

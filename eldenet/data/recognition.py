@@ -296,7 +296,7 @@ def _describe(
     found = Recognized(f"a recording: {title}")
     whole = [frame for frame in frames if all((folder / file).is_file() for file in frame.files)]
     lost = len(frames) - len(whole)
-    skip = f"; {lost} others lack a file: add it, or data.on_error=skip to these settings" * bool(lost)
+    skip = f"; frames that lack a file: {lost}: add it, or data.on_error=skip to these settings" * bool(lost)
     found.facts.append(f"frames: {len(whole)}{skip}")
     found.facts += _unpaired(folder, settings, whole)
     if not whole:

@@ -181,7 +181,7 @@ def test_what_is_missing_and_what_is_refused_is_said(tmp_path: Path) -> None:
     recordings.text(tmp_path / "right.json", (tmp_path / "left.json").read_text())
     (found,) = recognize(tmp_path)
     facts = "\n".join(found.facts)
-    assert "2 others lack a file: add it, or data.on_error=skip to these settings" in facts
+    assert "frames that lack a file: 2: add it, or data.on_error=skip to these settings" in facts
     assert "1 pictures have no partner, such as color/00002.jpg" in facts
     assert "1 depth maps have no partner, such as depth/00004.png" in facts
     assert "left.json (fx 60.0, cx 31.0), right.json (fx 60.0, cx 31.0); add one as data.intrinsics=" in facts

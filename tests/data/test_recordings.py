@@ -347,6 +347,18 @@ def test_files_of_cameras(file: str, content: str, size: tuple[int, int] | None,
     assert camera.size == size
 
 
+def test_a_calibration_that_opencv_wrote(tmp_path: Path) -> None:
+    file = cv2.FileStorage(str(tmp_path / "k.yml"), cv2.FILE_STORAGE_WRITE)
+    file.write("image_width", 64)
+    file.write("image_height", 48)
+    file.write("camera_matrix", pinhole(*CAMERA))
+    file.write("distortion_coefficients", np.zeros(5))
+    file.release()
+    camera = read_camera(tmp_path / "k.yml")
+    np.testing.assert_array_equal(camera.matrix, pinhole(*CAMERA))
+    assert camera.size == SIZE
+
+
 @pytest.mark.parametrize(
     ("file", "content"),
     [
