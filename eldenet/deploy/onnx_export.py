@@ -79,7 +79,7 @@ def write_onnx(
         )
     only_one_size = f"this network has no graph for any size: give size={list(size)} (predict: input_size=)"
     network: nn.Module = fold(model).cpu()
-    if any_size and rounds_down(network):
+    if any_size and needs_fixed_size(network):
         raise ValueError(only_one_size)
     asks = model.sees_rays and fov is None
     outputs, lens = ["depth"], [torch.full((batch or 2,), 0.8 * size[1])] * asks
@@ -109,7 +109,7 @@ def write_onnx(
     return write_graph(graph, Path(path), metadata or {})
 
 
-def rounds_down(network: nn.Module) -> bool:
+def needs_fixed_size(network: nn.Module) -> bool:
     """Whether a graph at any size would lack the decoder's padding, or the backbone takes no odd sides.
 
     Decoders pad where a backbone rounds a feature's odd sides down for the next one.

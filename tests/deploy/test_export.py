@@ -17,7 +17,7 @@ from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.upconv import UpConvDecoder
 from eldenet.deploy import runtimes
 from eldenet.deploy.metadata import read_metadata
-from eldenet.deploy.onnx_export import rounds_down, write_onnx
+from eldenet.deploy.onnx_export import needs_fixed_size, write_onnx
 from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.export import ExportSettings, compare_with_torch, export, map_errors, target_of
@@ -281,7 +281,7 @@ class Patches(Backbone):
 def test_patches_that_leave_out_an_edge_have_a_graph_for_any_size() -> None:
     """PoolFormer: no decoder pads, as only the first feature is rounded down."""
     decoder = partial(FastUpConvDecoder, modules=1)
-    assert not rounds_down(small_net(backbone=Patches(), decoder=decoder))
+    assert not needs_fixed_size(small_net(backbone=Patches(), decoder=decoder))
 
 
 def test_a_backbone_of_one_size_has_no_graph_for_any_size(tmp_path: Path) -> None:

@@ -70,7 +70,9 @@ def test_fp32_files_agree_with_torch(files, images, reference, file: str, runtim
 
 
 @pytest.mark.parametrize("runtime", ["torch", "torch_channels_last"])
-def test_models_run_without_a_file(trained_model, images, reference, runtime: str) -> None:
+def test_models_run_without_a_file_and_say_how_to_send_them(
+    trained_model, images, reference, runtime: str
+) -> None:
     network = runtimes.load(trained_model, runtime, threads=1)
     assert network.runtime == runtime
     with pytest.raises(TypeError, match="this network has no file: write one with eldenet export"):
