@@ -107,7 +107,7 @@ def recognize_folder(folder: Path) -> bool:
 
 def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found: "DataCheck") -> None:
     """Print one table with a column per split that could be opened, then what is wrong or in doubt."""
-    from eldenet.data.inspection import doubts, encoding_of, inverse_doubt
+    from eldenet.data.inspection import doubts, encoding_of, inverse_doubts
 
     opened = [split for split in found.splits if not split.fault]
     if cells := [_cells(split) for split in opened]:
@@ -129,13 +129,8 @@ def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found
     ]
     for split_name, line, _ in guesses:
         log.say(f"{split_name}: {line}")
-    asked = {split.split: split.farther_below for split in found.splits}
-    # small splits only together: a few neighboring frames prove nothing
-    together = (sum(farther for farther, _ in asked.values()), sum(others for _, others in asked.values()))
-    lines = {name: inverse_doubt(*each) for name, each in asked.items() if sum(each) >= 20}
-    for name, line in (lines or {"all splits": inverse_doubt(*together)}).items():
-        if line:
-            log.say(f"{name}: {line}")
+    for line in inverse_doubts({split.split: split.farther_below for split in found.splits}):
+        log.say(line)
     if found.faults:
         verdict = "something is wrong, see above"
     elif any(implausible for *_, implausible in guesses):

@@ -17,7 +17,7 @@ gc.disable()  # while tests are collected: their modules and libraries stay
 def pytest_collection_finish() -> None:
     gc.freeze()  # a search need not walk through all libraries each time
     gc.enable()
-    gc.set_threshold(100_000, 50, 100)
+    gc.set_threshold(100_000, 50, 100)  # torch's exporter makes millions of objects
 
 
 @pytest.fixture(autouse=True, scope="session")

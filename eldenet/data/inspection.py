@@ -17,6 +17,7 @@ from eldenet.data.splits import SPLITS, evenly_spaced, same_splits, subset_of
 from eldenet.geometry import four_numbers
 
 PLAUSIBLE = (0.3, 60.0)  # median depth of a data set [m]: a desk, a street
+ENOUGH_ALONE = 20  # frames of a split; fewer, which follow each other, prove nothing
 LEAST_FRAMES, MOST_FARTHER = 5, 0.6  # frames; share of them that is farther below (real depth: up to 0.25)
 # Bins of 1 % from 1 mm to 1 km: percentiles to half a percent without keeping a pixel.
 _EDGES = np.geomspace(1e-3, 1e3, 1390)
@@ -245,6 +246,19 @@ def is_farther_below(depth: np.ndarray) -> bool | None:
     third = depth.shape[0] // 3
     top, bottom = (part[np.isfinite(part) & (part > 0)] for part in (depth[:third], depth[-third:]))
     return bool(np.median(bottom) > np.median(top)) if top.size and bottom.size else None
+
+
+def inverse_doubts(counts: Mapping[str, Sequence[int]]) -> list[str]:
+    """Return the lines of :func:`inverse_doubt` about splits of enough frames, or else about all together.
+
+    ``counts`` has the numbers of frames that are farther below, and that are not, by split.
+    """
+    large = {name: count for name, count in counts.items() if sum(count) >= ENOUGH_ALONE}
+    together = {
+        "all splits": (sum(each[0] for each in counts.values()), sum(each[1] for each in counts.values()))
+    }
+    lines = {name: inverse_doubt(*count) for name, count in (large or together).items()}
+    return [f"{name}: {line}" for name, line in lines.items() if line]
 
 
 def inverse_doubt(farther: int, others: int) -> str:

@@ -12,6 +12,7 @@ from support.recordings import COUNT, RECORDERS, SIZE
 from eldenet.check_data import CheckDataSettings, check_data, recognize_folder
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
+from eldenet.data.inspection import inverse_doubts
 from eldenet.data.known_layouts import KNOWN_LAYOUTS
 from eldenet.data.recognition import recognize
 
@@ -313,6 +314,12 @@ def test_inverse_depth_is_asked_about(inverse: bool, tmp_path: Path, capsys) -> 
     )
     for said in (str(found.facts), capsys.readouterr().out):
         assert ("is it inverse depth or disparity?" in said) == inverse
+
+
+def test_a_large_split_of_inverse_depth_is_asked_about_beside_good_ones() -> None:
+    (line,) = inverse_doubts({"train": (5, 65), "val": (4, 2), "test": (30, 0)})
+    assert line.startswith("test: in 30 of 30 frames the bottom is farther")
+    assert not inverse_doubts({"train": (5, 65), "val": (6, 0)})
 
 
 def test_a_few_neighboring_frames_are_not_asked_about(tmp_path: Path, capsys) -> None:

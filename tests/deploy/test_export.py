@@ -105,6 +105,7 @@ def test_the_command_exports_from_another_folder(
     ("weights", "words"),
     [
         *((weights, ["opset=17"]) for weights in eldenet.list_weights()),  # by the exporter that is quick
+        ("eldenet_l_indoor", []),
         ("eldenet_indoor", ["camera=[90,160]"]),
     ],
 )
