@@ -176,6 +176,7 @@ def test_the_snippets_of_deploy_run(tmp_path, monkeypatch):
     assert names["depth"].shape == (48, 64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "size"),
     # without a canonical camera, with one, and told the lens

@@ -81,6 +81,7 @@ def in_fresh(command: list[str | Path], folder: Path) -> subprocess.CompletedPro
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, check=False)
 
 
+@pytest.mark.slow
 def test_the_installed_wheel_predicts_with_what_it_brings(installed, tmp_path):
     shutil.copy(REPOSITORY / "web" / "example.jpg", tmp_path)
     ran = in_fresh(

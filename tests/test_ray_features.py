@@ -209,6 +209,7 @@ def test_every_file_and_runtime_gives_the_meters_of_torch(
         np.testing.assert_allclose(one, model(images[:1], 90.0), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_file_of_frames_takes_the_frames_focal_length(model: DepthNet, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     camera, frame = (64, 128), photo(64, 128)
@@ -267,6 +268,7 @@ class SameWall(SyntheticDepth):
         return frame._replace(depth=np.full_like(frame.depth, 2.0), intrinsics=intrinsics, name=f"{index}")
 
 
+@pytest.mark.slow
 def test_training_learns_what_only_the_lens_tells(tmp_path: Path) -> None:
     scores = {}
     for kind, rays in (("told", RayFeatures), ("not told", None)):

@@ -7,6 +7,7 @@ import pytest
 from eldenet.system.files import LOCK, sole_writer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["depth frames", "camera height"])
 def test_a_second_adapt_in_one_folder_is_refused(run_command, tmp_path, kind):
     for part, dtype in (("images", np.uint8), ("depths", np.uint16)):

@@ -171,6 +171,7 @@ def test_evaluate_at_another_size_and_of_an_untrained_network(run_command, tmp_p
     assert [cost["height"], cost["width"]] == size
 
 
+@pytest.mark.slow
 def test_evaluate_scores_exported_files(trained, run_command):
     pytest.importorskip("onnxruntime")
     exported = trained.parent / "exported.onnx"
@@ -194,6 +195,7 @@ def test_evaluate_scores_exported_files(trained, run_command):
     assert "eldenet_s" in finished.stdout
 
 
+@pytest.mark.slow
 def test_a_sweep_continues_after_a_failed_job(run_command, tmp_path):
     finished = run_command("train", "-m", *TINY, "trainer.monitor=wrong,delta1", "output=sweep")
     assert finished.returncode == 1
@@ -201,6 +203,7 @@ def test_a_sweep_continues_after_a_failed_job(run_command, tmp_path):
     assert (tmp_path / "sweep" / "1" / "run.json").is_file()
 
 
+@pytest.mark.slow
 def test_two_processes_train_to_the_end_and_write_one_run(cache, command_server, tmp_path):
     words = (*TINY[:2], "data.frames={train: 32, val: 7, test: 8}", *TINY[3:], "runtime.threads=1")
     words += ("trainer.monitor=abs_rel", "output=run")

@@ -46,6 +46,7 @@ def test_the_list_needs_no_heavy_import():
     assert not {"torch", "numpy", "hydra", "omegaconf"} & set(done.stdout.splitlines()[-1].split())
 
 
+@pytest.mark.slow
 def test_a_command_starts_by_its_name_and_finds_code_that_lies_here(tmp_path):
     (tmp_path / "mine.py").write_text("class Loss:\n    pass\n")
     for word in ("check-data", "check_data"):
@@ -142,6 +143,7 @@ def test_a_shell_completes_commands_settings_and_paths(shell, tmp_path):
     assert [[word.rstrip("/") for word in line] for line in words] == list(typed.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", SHELLS)
 def test_completion_runs_and_expands_no_name_of_a_file(shell, tmp_path):
     names = ["a$(touch run)", "b`touch run`", "c${IFS}d", "e;touch run", "f\nline", "g'x\" *", "h$HOME"]

@@ -71,6 +71,7 @@ def test_a_wrong_path_ends_in_one_line_before_torch_is_loaded(
     assert not {"torch", "albumentations", "scipy", "matplotlib"} & loaded
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [

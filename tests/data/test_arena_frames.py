@@ -99,6 +99,7 @@ def test_the_data_set_reads_what_was_rendered(dataset):
     assert sample["depth"][sample["mask"]].max() <= 10
 
 
+@pytest.mark.slow
 def test_data_arenas_composes_builds_and_can_be_scored(root):
     small = ["data=arenas", f"data.root={root}", f"data.size={list(SIZE)}", f"data.input_size={list(SIZE)}"]
     config = compose(TrainSettings, [*small, "data.frames={train: 8, val: 8, test: 8}"])

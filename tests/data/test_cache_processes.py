@@ -42,6 +42,7 @@ class Counted(SyntheticDepth):
         return len(self.notes.read_text().splitlines())
 
 
+@pytest.mark.slow
 def test_workers_share_one_copy(tmp_path: Path) -> None:
     frames = 12
     data = Counted(tmp_path / "notes", frames, cache="disk", transform=Augmentation(affine=0.0))
@@ -64,6 +65,7 @@ def test_workers_share_one_copy(tmp_path: Path) -> None:
     assert data.reads() == frames + 1
 
 
+@pytest.mark.slow
 def test_no_worker_outlives_its_loader(tmp_path: Path) -> None:
     data = SyntheticDepth(6)
     model = ConstantPredictor(torch.full((1, 1, 32, 48), 4.0))
@@ -81,6 +83,7 @@ def train(folder: Path, *, cache: str = "none", workers: int = 0, **options):
     return fit(folder, data=data, val_frames=4, resources=resources, checkpoint_every=1, **options)
 
 
+@pytest.mark.slow
 def test_cached_training_is_the_training_resumed_too(tmp_path: Path, monkeypatch) -> None:
     train(tmp_path / "plain")
     train(tmp_path / "whole", cache="disk", workers=1)

@@ -117,6 +117,7 @@ def test_a_mix_and_frames_without_augmentation_are_the_same():
     assert here["name"] == there["name"]
 
 
+@pytest.mark.slow
 def test_workers_and_a_resume_change_nothing(tmp_path, monkeypatch):
     raw_loader = partial(training_loader, device="another")
     monkeypatch.setattr(

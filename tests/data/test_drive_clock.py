@@ -41,6 +41,7 @@ def pairs(poses: DrivePoses) -> list[Pair]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("delay", "lens"), [(0.0, LENS), (-0.8, pinhole(330.0, 330.0, 159.5, 119.5)), (2.6, LENS)]
 )

@@ -130,6 +130,7 @@ def test_a_subset_of_a_mix_is_refused(tmp_path, monkeypatch) -> None:
         open_split(config.data, "train", chosen_protocol(config.data, config.protocol))
 
 
+@pytest.mark.slow
 def test_a_stopped_training_on_a_mix_resumes_to_the_same_weights(tmp_path) -> None:
     def terms() -> dict[str, WeightedTerm]:
         return {"ssi": WeightedTerm(ScaleShiftInvariantLoss(scales=1), space="log", applies_to="relative")}

@@ -94,6 +94,7 @@ def test_rooms_of_many_lenses_hand_over_each_focal_length(tmp_path: Path) -> Non
         Rooms("train", 8, size=SIZE, root=tmp_path, focal=[2.0, 0.4])
 
 
+@pytest.mark.slow
 def test_near_rooms_show_what_is_close(tmp_path: Path) -> None:
     near = Rooms("train", 16, size=SIZE, root=tmp_path, workers=2, near=1)
     assert near.folder.name.startswith("rooms-near1-v1")

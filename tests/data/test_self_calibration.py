@@ -69,6 +69,7 @@ def test_a_straight_drive_tells_the_mount_and_not_the_focal_length(drift):
     assert fit.pitch == pytest.approx(0.1, abs=0.02)
 
 
+@pytest.mark.slow
 def test_odometry_whose_heading_drifts_tells_lens_and_pitch_all_the_same():
     yaws = np.repeat((0.1, 0.05, 0.0, -0.05, -0.1), 12)
     fit = fit_camera([pairs(0.1, yaw)[k] for k, yaw in enumerate(yaws)], told(1.4), FORWARD)
@@ -77,12 +78,14 @@ def test_odometry_whose_heading_drifts_tells_lens_and_pitch_all_the_same():
     assert fit.pitch == pytest.approx(0.1, abs=0.01)
 
 
+@pytest.mark.slow
 def test_few_pairs_or_corners_that_fit_no_camera_tell_nothing():
     assert fit_camera(pairs()[:20], TRUE, FORWARD) == (None, None, None, None)
     mistaken = [pair._replace(there=pair.there[::-1]) for pair in pairs()]
     assert fit_camera(mistaken, TRUE, FORWARD) == (None, None, None, None)
 
 
+@pytest.mark.slow
 def test_a_heading_of_the_wrong_sign_tells_nothing():
     other = np.eye(4)
     turned = []

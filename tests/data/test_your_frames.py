@@ -44,6 +44,7 @@ def test_a_documented_command_finds_nothing_wrong(name: str, tmp_path: Path) -> 
     assert (train_part["with_intrinsics"] > 0) == RECORDERS[name].has_camera
 
 
+@pytest.mark.slow
 def test_the_same_settings_train_and_evaluate(tmp_path: Path) -> None:
     RECORDERS["stray_scanner"].write(tmp_path / "stray_scanner", (24, 32))
     words = [word.replace("/data", str(tmp_path)) for word in COMMANDS["stray_scanner"]]

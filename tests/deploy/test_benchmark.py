@@ -95,6 +95,7 @@ def test_a_failed_row_keeps_its_reason(output: Path) -> None:
     assert "bf16 runs under OpenVINO" in (output / "results.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_killed_benchmark_resumes(output: Path, capsys: pytest.CaptureFixture) -> None:
     before = (output / "rows.jsonl").read_text()
     first = [row["date"] for row in rows_of(output) if row["runtime"] == "torch"]
@@ -122,6 +123,7 @@ def named(folder: Path, scale: float) -> Path:
     return model.save_pretrained(folder, info={"model_name": "mine"})
 
 
+@pytest.mark.slow
 def test_another_network_of_the_same_name_is_measured(tmp_path: Path) -> None:
     first, second = named(tmp_path / "a", 0.01), named(tmp_path / "b", 0.02)
     words = ("runtimes=[onnxruntime]", "precisions=[fp32]", "reference=mine")
@@ -133,6 +135,7 @@ def test_another_network_of_the_same_name_is_measured(tmp_path: Path) -> None:
     assert len(list((tmp_path / "table/exports").glob("mine-*.onnx"))) == 2
 
 
+@pytest.mark.slow
 def test_rows_of_other_settings_do_not_count(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     words = ("runtimes=[torch]", "precisions=[fp32]")
     (first,) = run(tmp_path, *words)
@@ -162,6 +165,7 @@ def test_a_row_without_memory_is_measured_again_where_memory_is_asked_for(
     assert run(tmp_path, *words) == [row]
 
 
+@pytest.mark.slow
 def test_a_ratio_is_to_the_reference_of_its_table(tmp_path: Path) -> None:
     first, second = named(tmp_path / "a", 0.01), named(tmp_path / "b", 0.02)
     words = ("runtimes=[torch]", "precisions=[fp32]", "reference=mine")
@@ -212,6 +216,7 @@ def test_rows_of_another_machine_are_measured_again(
     assert run(tmp_path, *ours) == [row]  # what was measured here counts
 
 
+@pytest.mark.slow
 def test_a_benchmark_whose_rows_all_fail_fails(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"no row was measured; the first: .* does not support bf16"):
         run(tmp_path, "runtimes=[onnxruntime]", "precisions=[bf16]")
@@ -311,6 +316,7 @@ def test_timed_calls_take_turns() -> None:
     assert len(waited) == 4  # before the first and after each
 
 
+@pytest.mark.slow
 def test_the_command_measures_memory_from_another_folder(run_command, tmp_path: Path) -> None:
     done = run_command(
         *("benchmark", *TINY[:3], "runtimes=[torch]", "rounds=1", "seconds=0.001"),

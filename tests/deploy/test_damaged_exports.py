@@ -100,6 +100,7 @@ def test_a_name_in_the_weights_cannot_leave_the_folder(
     assert target_of(s, trained_model).output.parent == Path("exports")
 
 
+@pytest.mark.slow
 def test_benchmark_exports_a_cut_file_again(tmp_path: Path) -> None:
     options = ["models=[eldenet_s]", "sizes=[[32,64]]", "reference=eldenet_s", f"output='{tmp_path}'"]
     s = compose(BenchmarkSettings, options)

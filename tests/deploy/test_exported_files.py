@@ -58,6 +58,7 @@ def test_a_file_of_an_old_opset_runs(trained_model, images, reference, tmp_path:
         write_onnx(trained_model, tmp_path / "wrong.onnx", SIZE, camera_size=(72, 96))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".onnx", ".xml"])
 def test_a_file_of_a_fixed_batch_is_scored_at_that_batch(
     trained_model, images, reference, tmp_path: Path, ending: str
@@ -82,6 +83,7 @@ def test_a_file_of_a_fixed_batch_is_scored_at_that_batch(
     assert math.isnan(cost.latency_ms_p95)
 
 
+@pytest.mark.slow
 def test_a_file_of_any_size_states_its_multiply_adds_for_one_size(tmp_path: Path) -> None:
     model = light_net()
     path = write_onnx(model, tmp_path / "any.onnx", SIZE, any_size=True, metadata=describe(model, "m", SIZE))
@@ -97,6 +99,7 @@ def test_an_opset_that_cannot_express_a_network_is_refused_in_one_line(tmp_path:
     assert capfd.readouterr() == ("", "")  # torch prints its whole graph
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("opset", "batch"), [(18, None), (18, 1), (17, None)])
 def test_openvino_takes_frames_that_are_no_multiple_of_the_networks_size(
     tmp_path: Path, opset: int, batch: int | None

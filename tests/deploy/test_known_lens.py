@@ -46,6 +46,7 @@ def path(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return exported(folder, tmp_path_factory.mktemp("files") / "m.onnx")
 
 
+@pytest.mark.slow
 def test_the_file_takes_pictures_alone_and_answers_in_meters(model: DepthNet, path: Path) -> None:
     assert read_metadata(path)["units"] == "meters"
     for runtime in ("onnxruntime", "openvino"):
@@ -59,6 +60,7 @@ def test_the_file_takes_pictures_alone_and_answers_in_meters(model: DepthNet, pa
         np.testing.assert_allclose(found.sigma, expected.sigma, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_frames_have_that_lens_too(model: DepthNet, folder: Path, tmp_path: Path) -> None:
     path = exported(folder, tmp_path / "c.onnx", "camera=[64,128]", "batch=1")
     frame = photo(64, 128)
@@ -67,6 +69,7 @@ def test_frames_have_that_lens_too(model: DepthNet, folder: Path, tmp_path: Path
     assert np.abs(found / expected - 1).mean() < 0.005  # torch rounds the smaller frame
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [RayFeatures], indirect=True, ids=["rays"])
 @pytest.mark.parametrize(("format", "name"), [("onnx", "q.onnx"), ("openvino", "q.xml")])
 def test_int8_files_of_one_lens_stay_near(
@@ -121,6 +124,7 @@ def test_a_runtime_and_a_score_refuse_another_lens_too(path: Path) -> None:
                 predicted(RuntimeNetwork(network), images, torch.tensor([own, 1.5 * own]))
 
 
+@pytest.mark.slow
 def test_predict_says_the_files_lens(run_command, path: Path, tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     assert cv2.imwrite(str(tmp_path / "photos" / "a.png"), photo(48, 96))

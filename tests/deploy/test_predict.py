@@ -229,6 +229,7 @@ def test_intrinsics_fit_pictures_of_one_size(model_folder: Path, tmp_path: Path)
         run(model_folder, tmp_path / "in/a.png", tmp_path / "none", "intrinsics=[900,900,640,360]")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["onnxruntime", "openvino"])
 def test_auto_device_means_the_cpu_outside_torch(
     tmp_path: Path, engine: str, monkeypatch: pytest.MonkeyPatch
@@ -249,6 +250,7 @@ def test_auto_device_means_the_cpu_outside_torch(
     assert predictor(photo()).shape == (48, 64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("info", [{"input_size": [64, 96]}, {}])
 def test_another_input_size_shows_a_runtime_what_torch_sees(tmp_path: Path, info: dict[str, Any]) -> None:
     pytest.importorskip("onnxruntime")
@@ -262,6 +264,7 @@ def test_another_input_size_shows_a_runtime_what_torch_sees(tmp_path: Path, info
     np.testing.assert_allclose(depth[1], depth[0], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_network_without_a_graph_for_any_size_runs_at_one(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     folder = rounding_down_net().save_pretrained(tmp_path / "model", info={"input_size": [64, 96]})
@@ -322,6 +325,7 @@ def test_a_missing_package_for_one_picture_is_said_before_the_first(tmp_path: Pa
         find_source(str(tmp_path / "photos"), tmp_path / "out", None)
 
 
+@pytest.mark.slow
 def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_path: Path) -> None:
     file, source = exported(model, tmp_path / "small.onnx"), save(tmp_path / "a.png", photo())
     detector = save_detector(tmp_path / "detector.onnx", *FILES["yolov8"])

@@ -190,6 +190,7 @@ def test_what_is_no_depth_is_refused(answer: np.ndarray, said: str) -> None:
             call()
 
 
+@pytest.mark.slow
 def test_a_predictor_can_be_copied_and_sent_to_another_process(model: DepthNet) -> None:
     predictor = DepthPredictor(model)
     predictor(photo())  # a video has begun

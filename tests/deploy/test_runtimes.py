@@ -80,6 +80,7 @@ def test_models_run_without_a_file_and_say_how_to_send_them(
     assert map_errors(network(images), reference)["max_relative"] < ROUNDING
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
 def test_a_model_without_a_file_sees_frames_of_any_shape_as_torch_does(runtime: str) -> None:
     model = light_net()

@@ -38,6 +38,7 @@ def test_sharpening_takes_pictures_of_any_shape(size: tuple[int, int], works_at:
     assert 1 <= out.min() <= out.max() <= 5
 
 
+@pytest.mark.slow
 def test_a_sharp_predictor_is_closer_to_the_truth_at_edges(tmp_path: Path) -> None:
     frames = Rooms("val", 8, size=(192, 256), root=tmp_path, workers=0)
     model = eldenet.load("eldenet_rooms")

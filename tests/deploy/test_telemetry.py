@@ -66,10 +66,12 @@ def test_openvino_reports_its_import_where_nobody_declines(tmp_path: Path) -> No
     assert sent(COUNTING + "import openvino\nprint('sent', len(sent))", tmp_path) > 0
 
 
+@pytest.mark.slow
 def test_export_quantization_and_running_send_nothing_and_survive_a_signal(tmp_path: Path) -> None:
     assert sent(HIDDEN + SIGNALED + WORK + SIGNAL, tmp_path) == 0
     assert not (tmp_path / "intel").exists()  # nor is a number kept by which this user could be told apart
 
 
+@pytest.mark.slow
 def test_nothing_more_is_sent_where_the_program_imported_openvino_itself(tmp_path: Path) -> None:
     assert sent(COUNTING + "import openvino\nimport nncf\nsent.clear()\n" + WORK, tmp_path) == 0

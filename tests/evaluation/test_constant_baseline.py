@@ -122,6 +122,7 @@ def score_rooms(folder: Path, *words: str, split: str = "test") -> dict[str, Any
     return score("rooms", folder, f"data.root={folder}", *size, *words, split=split)
 
 
+@pytest.mark.slow
 def test_an_evaluation_renders_few_training_frames(
     tmp_path: Path, asked: Asked, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,6 +144,7 @@ def words_of(capsys: pytest.CaptureFixture[str]) -> str:
     return " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_training_frames_that_are_scored_are_all_rendered(tmp_path: Path, asked: Asked) -> None:
     record = score_rooms(tmp_path, "data.frames={train: 640, val: 8, test: 8}", split="train")
     assert asked == [("train", list(range(80)))]

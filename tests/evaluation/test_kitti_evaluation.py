@@ -82,6 +82,7 @@ def test_kb_crop_by_pixel(tmp_path: Path) -> None:
     assert second[2]["image"].shape[-2:] == second[2]["depth"].shape[-2:] == (352, 1216)
 
 
+@pytest.mark.slow
 def test_every_split_is_scored_in_the_whole_frame(tmp_path: Path) -> None:
     root = kitti_depth(tmp_path)
     words = ["data=kitti", f"data.root={root}", "protocol=kitti_eigen_garg_improved"]
@@ -134,6 +135,7 @@ class Ramp(nn.Module):
         return ramp + self.start
 
 
+@pytest.mark.slow
 def test_frames_of_two_sizes_in_one_evaluation(tmp_path: Path) -> None:
     """Batches of two dates; batch size 1 says the same, and both what is written out here."""
     root = kitti_depth(tmp_path, numbers=(5, 6))

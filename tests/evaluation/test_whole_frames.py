@@ -210,6 +210,7 @@ def test_evaluate_says_for_which_lens_the_meters_are_right(
         assert f"meters are only right for the lens of the training{noted}" in said
 
 
+@pytest.mark.slow
 def test_a_file_of_one_size_is_not_scored_on_frames_that_it_would_squeeze(tmp_path: Path) -> None:
     file = exported(canonical_net(32, 64), tmp_path / "model.onnx")
     words = [f"checkpoint={file}", "data=folder", "data.test_split=all", "runtime.workers=0", "batch_size=1"]

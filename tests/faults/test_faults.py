@@ -8,6 +8,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.slow
 def test_the_short_campaign(tmp_path: Path, command_server) -> None:
     pytest.importorskip("h5py")
     pytest.importorskip("OpenEXR")
@@ -17,14 +18,6 @@ def test_the_short_campaign(tmp_path: Path, command_server) -> None:
     rows = json.loads((tmp_path / "results.json").read_text())
     assert len(rows) > 60
     assert not any(row["wrong"] for row in rows)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_the_whole_campaign(tmp_path: Path, command_server) -> None:
-    words = ["--output", str(tmp_path / "results.json")]
-    done = command_server.run("tests.faults", words, REPOSITORY, timeout=3600)
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_page_shows_the_stored_results() -> None:

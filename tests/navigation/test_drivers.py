@@ -42,6 +42,7 @@ def test_the_packaged_policy_is_small_and_drives():
     assert summarize(rows)["success"] >= 90
 
 
+@pytest.mark.slow
 def test_an_episode_ends_the_same_alone_and_among_others():
     arenas = frozen_arenas(80, 5, split="val")
     make = lambda robots: Navigator.load(robots=robots)  # noqa: E731

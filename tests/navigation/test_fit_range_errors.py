@@ -36,6 +36,7 @@ def measured(drawn) -> RangeErrors:
     return fit.fit_errors(drawn, note="a test")
 
 
+@pytest.mark.slow
 def test_fitted_errors_are_the_drawn_ones(put_in, measured):
     assert measured.bias[1:5] == pytest.approx(np.interp(measured.middles[1:5], put_in.middles, put_in.bias),
                                                abs=0.04)  # fmt: skip

@@ -128,6 +128,7 @@ class Corridor:
         return self._obs(), done.astype(float), done, np.zeros(8, bool), info
 
 
+@pytest.mark.slow
 def test_the_network_learns_the_known_values_of_a_corridor():
     settings = DQNSettings(
         total_timesteps=8_000, checkpoint_interval=8_000, learning_starts=200, gamma=0.9, batch_size=64,

@@ -128,6 +128,7 @@ class ByScans:
         return np.array([self.driver.step(scan, senses.goal[0], senses.odometry[0])])
 
 
+@pytest.mark.slow
 def test_it_drives_through_an_arena_by_a_lidar():
     arenas, settings = frozen_arenas(40, 2, split="val"), EpisodeSettings("wheels")
     for policy in (ByScans(PlanAndSteer()), PlanAndSteer()):

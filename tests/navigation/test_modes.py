@@ -94,6 +94,7 @@ def test_no_mode_replaces_the_record_of_another(tmp_path, record):
 # --- what the modes write
 
 
+@pytest.mark.slow
 def test_record_makes_a_video_without_a_display(run_command, tmp_path):
     from PIL import Image
 
@@ -151,6 +152,7 @@ def test_evaluate_says_how_many_worlds_of_a_file_were_driven(run_command, tmp_pa
     assert "test arenas" not in said
 
 
+@pytest.mark.slow
 def test_train_resumes_and_writes_a_policy(run_command, tmp_path):
     small = (
         "mode=train", "learner.total_timesteps=600", "learner.checkpoint_interval=300",

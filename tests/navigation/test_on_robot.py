@@ -170,6 +170,7 @@ def test_a_setting_out_of_range_is_refused(wrong):
         Navigator.load().step(np.full(40, 6.0), (5.0, 0.0), (0.0, 0.0, 0.0), **wrong)
 
 
+@pytest.mark.slow
 def test_a_planner_starts_a_new_map_far_from_the_start_of_the_last_one():
     """100 m along a corridor 3 m wide; a map reaches 21 m."""
     driver = PlanAndSteer()

@@ -27,6 +27,7 @@ def test_it_reaches_the_goal_in_every_kind_of_arena(kind):
     assert summarize(rows)["success"] == 100
 
 
+@pytest.mark.slow
 def test_it_decides_the_same_alone_and_among_others():
     arenas = frozen_arenas(80, 3, split="val")
     make = lambda robots: PlanAndSteer(robots=robots)  # noqa: E731

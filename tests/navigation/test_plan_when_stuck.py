@@ -1,6 +1,7 @@
 """Plan where stuck: the driver alone while it gets somewhere, and out of traps by a plan."""
 
 import numpy as np
+import pytest
 
 from eldenet.navigation.evaluation import run_episodes, summarize
 from eldenet.navigation.noisy_ranges import NoisyRanges
@@ -22,6 +23,7 @@ def wall(goal: float, x: float = 0.0) -> Senses:
     return Senses(np.full((1, ROBOT.columns), 1.0), np.array([[x, 0.0, 0.0]]), np.array([[goal, 0.0]]))
 
 
+@pytest.mark.slow
 def test_while_it_gets_somewhere_it_is_the_driver_alone():
     arenas, sensor = frozen_arenas(40, 4, split="val"), NoisyRanges(errors="packaged", drift=DRIFT)
     alone = run_episodes(arenas, lambda robots: Navigator.load(slows_within=1.0, robots=robots), sensor)
@@ -31,6 +33,7 @@ def test_while_it_gets_somewhere_it_is_the_driver_alone():
     assert not drivers[0].rescues.any()
 
 
+@pytest.mark.slow
 def test_it_leaves_traps_in_which_the_driver_alone_stays():
     """Things within 0.6 m read too far, and far ones too near and by chance, as a tuned network's."""
     errors = RangeErrors(
@@ -55,6 +58,7 @@ def test_it_leaves_traps_in_which_the_driver_alone_stays():
     assert summarize(rows)["success"] >= 75
 
 
+@pytest.mark.slow
 def test_it_decides_the_same_alone_and_among_others():
     arenas, sensor = frozen_arenas(10, 3, split="val", kind="traps"), NoisyRanges()
     make = lambda robots: PlanWhenStuck(robots=robots)  # noqa: E731

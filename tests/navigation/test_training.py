@@ -105,6 +105,7 @@ def test_settings_that_are_gone_count_only_where_they_changed_something(tmp_path
         train(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_driver_is_validated_in_what_it_trains_for(tmp_path, monkeypatch):
     """A driver for rooms with pedestrians was validated in open arenas without."""
     seen = []

@@ -76,6 +76,7 @@ def setup(folder: Path, *overrides: str) -> AdaptSettings:
     return compose(AdaptSettings, [*given, *overrides, f"output={folder / 'run'}"])
 
 
+@pytest.mark.slow
 def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path, capsys):
     cameras = drive(tmp_path, seconds=10.0)
     table = tmp_path / "odometry.csv"
@@ -110,6 +111,7 @@ def test_a_video_with_odometry_tunes_weights_on_the_depth_of_its_motion(tmp_path
     assert np.percentile(np.concatenate(errors), 90) < 0.2
 
 
+@pytest.mark.slow
 def test_a_bag_of_ros_gives_the_labels_of_its_pictures_and_odometry(tmp_path, monkeypatch):
     tuned: list[dict] = []
     monkeypatch.setattr("eldenet.training.adaptation.tune", lambda s, *_: tuned.append(s) or True)
@@ -140,6 +142,7 @@ def test_a_bag_of_ros_gives_the_labels_of_its_pictures_and_odometry(tmp_path, mo
     assert of_bag["data"]["intrinsics"] == of_pictures["data"]["intrinsics"] == list(LENS)
 
 
+@pytest.mark.slow
 def test_pictures_are_chosen_along_their_own_way_not_all_poses(tmp_path, monkeypatch):
     monkeypatch.setattr("eldenet.training.adaptation.tune", lambda *_: True)
     monkeypatch.setattr("eldenet.perception.drive_labels.LEAST_FRAMES", 6)
@@ -163,6 +166,7 @@ def test_pictures_named_by_times_without_last_zeros_are_in_the_order_of_time(tmp
     assert [pose[0, 3] - MOUNT.ahead for _, _, pose, _ in placed] == pytest.approx(times)
 
 
+@pytest.mark.slow
 def test_a_bag_of_a_camera_that_nobody_calibrated_has_its_lens_found(tmp_path, monkeypatch):
     found: list[np.ndarray] = []
     monkeypatch.setattr("eldenet.perception.drive_labels.label_drive", lambda *s: found.append(s[2]) or LENS)
@@ -187,6 +191,7 @@ def test_a_bag_whose_odometry_has_another_clock_is_refused(tmp_path):
         adapt(setup(tmp_path, *given))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "heading", "said"),
     [

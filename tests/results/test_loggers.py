@@ -67,6 +67,7 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
         LOGGERS["wandb"](tmp_path, None)
 
 
+@pytest.mark.slow
 def test_an_unknown_logger_is_refused(run_command):
     finished = run_command("train", "logger=[tensorbord]", "runtime.workers=0")
     assert finished.returncode == 1

@@ -11,6 +11,7 @@ from eldenet.results.packed_runs import RUNS, read_records
 from eldenet.train import TrainSettings
 
 
+@pytest.mark.slow
 def test_the_commands_run_and_report_a_study(tiny, run_command):
     plan = tiny / "sweep.yaml"
     plan.write_text(short(plan.read_text()))
@@ -27,6 +28,7 @@ def test_the_commands_run_and_report_a_study(tiny, run_command):
     assert "eldenet_s" in (tiny / "results.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_row_with_a_network_from_outside_the_tree(tiny, run_command):
     """``--config-dir`` reaches the runs of a study, and its report."""
     project = tiny.parent

@@ -29,6 +29,7 @@ def add_to_plan(study: Path, text: str = "", old: str = "", new: str = "", one_s
     (study / "sweep.yaml").write_text((short(plan) if one_seed else plan).replace(old, new) + text)
 
 
+@pytest.mark.slow
 def test_a_study_is_trained_once_and_reported(tiny, tmp_path):
     first, said = run_all(tiny, tmp_path / "runs")
     assert first == {
@@ -139,6 +140,7 @@ def test_a_study_is_found_from_inside_its_folder(tiny, tmp_path, monkeypatch):
     assert read_study("..").name == "other"
 
 
+@pytest.mark.slow
 def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(measuring, "PEAK_SIDE", 64)  # a small product for the processor's peak
     (tiny / "sweep.yaml").write_text(re.sub(r"  elsewhere:.*\n", "", (tiny / "sweep.yaml").read_text()))
@@ -184,6 +186,7 @@ def test_each_different_network_of_a_study_is_measured_once(tiny, tmp_path, monk
         measure("runtimes=[torch]")
 
 
+@pytest.mark.slow
 def test_a_killed_run_resumes(tiny, tmp_path):
     """A run folder without run.json holds a checkpoint to resume from."""
     study = read_study(tiny)
@@ -232,6 +235,7 @@ def test_a_row_is_run_by_one_process_at_a_time(tiny, tmp_path):
         pass
 
 
+@pytest.mark.slow
 def test_a_row_that_starts_from_another_needs_its_weights(tiny, tmp_path):
     start = '"weights={runs}/eldenet_s/seed0"'
     row = f"  next: {{overrides: [model=eldenet_s, {start}], learning_rate: 1.0e-3}}\n"

@@ -77,6 +77,7 @@ def open_frames(s: AdaptSettings, model):
     return make_frames(s.data, protocol, s.augmentation, model, seed=s.seed)
 
 
+@pytest.mark.slow
 def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
     assert adapt(setup(place(tmp_path)))
     record = json.loads((tmp_path / "run/run.json").read_text())
@@ -94,6 +95,7 @@ def test_a_camera_of_another_scale_is_learned_and_kept(tmp_path, capsys):
     assert f"predict checkpoint={tmp_path / 'run'}" in said
 
 
+@pytest.mark.slow
 def test_sigma_follows_the_errors_of_the_held_out_frames(tmp_path):
     made = setup(place(tmp_path, noise=0.2, head="uncertain"))
     assert adapt(made)
@@ -108,6 +110,7 @@ def test_sigma_follows_the_errors_of_the_held_out_frames(tmp_path):
     assert np.mean(inside) == pytest.approx(0.8, abs=0.05)
 
 
+@pytest.mark.slow
 def test_weights_that_are_right_already_stay_as_they_were(tmp_path, capsys):
     place(tmp_path, factor=1.0)
     assert not adapt(setup(tmp_path))
@@ -116,6 +119,7 @@ def test_weights_that_are_right_already_stay_as_they_were(tmp_path, capsys):
     assert all(torch.equal(kept[name], old[name]) for name in old)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tuned", ["all weights", "the scale alone"])
 def test_frames_of_another_shape_are_compared_as_predict_sees_them(tmp_path, monkeypatch, tuned):
     monkeypatch.setattr("eldenet.training.adaptation.best_candidate", lambda _: tuned)
@@ -247,6 +251,7 @@ def test_frames_that_prove_nothing_are_refused(tmp_path, part, change, said):
     assert not (tmp_path / "run/model").exists()
 
 
+@pytest.mark.slow
 def test_a_large_factor_is_kept_where_it_is_forced(tmp_path):
     assert adapt(setup(place(tmp_path, factor=4.0), "force=true"))
     assert json.loads((tmp_path / "run/run.json").read_text())["scale"] == pytest.approx(4, rel=0.05)

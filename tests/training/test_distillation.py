@@ -180,6 +180,7 @@ def distill(folder: Path, network: torch.nn.Module, *, stop: int = 0, ckpt_path:
     fit(folder, trainer=trainer, frames=12, val_frames=4, terms=terms, ckpt_path=ckpt_path)
 
 
+@pytest.mark.slow
 def test_a_resumed_distillation_gives_the_same_weights_and_checks_its_teacher(tmp_path, networks):
     network = networks[1]
     distill(tmp_path / "whole", network)
@@ -205,6 +206,7 @@ TINY = (
 )
 
 
+@pytest.mark.slow
 def test_the_train_command_distills_from_a_saved_model(run_command, tmp_path, networks):
     networks[1].save_pretrained(tmp_path / "big", info={"input_size": [64, 96]})
     finished = run_command(

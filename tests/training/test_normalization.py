@@ -127,6 +127,7 @@ def test_weights_of_other_settings_are_named(tmp_path: Path, capsys) -> None:
     assert "backbone.shortcuts=False (there True)" in said
 
 
+@pytest.mark.slow
 def test_a_training_stores_and_resumes_them(frames: FolderDataset, tmp_path: Path, run_command) -> None:
     arguments = ("data=folder", f"data.root={tmp_path / 'set'}", "data.input_size=[32,40]", "model=eldenet_s")
     arguments += (

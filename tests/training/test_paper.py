@@ -34,6 +34,7 @@ SET_UPS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SET_UPS)
 def test_the_recipe_trains(name: str, tmp_path: Path) -> None:
     """Adam at 0.001 that decays by 0.9 an epoch, batches of 32, the network without shortcuts; it trains."""
@@ -67,6 +68,7 @@ def official_layouts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("row", "folders"), ROWS, ids=lambda word: word[12:] if word[0] == "+" else "")
 def test_each_row_of_the_tables_composes_and_its_network_trains(
     row: str, folders: str, official_layouts: Path, tmp_path: Path

@@ -90,6 +90,7 @@ def largest_difference(one: Path, two: Path, group: str) -> float:
     return max(float((first[name].double() - second[name].double()).abs().max()) for name in first)
 
 
+@pytest.mark.slow
 def test_two_processes_train_to_the_weights_of_one(tmp_path, command_server):
     """BatchNorm's own statistics, which processes do not share, are left as they are."""
     for rank in command_server.run_ranks(__file__, [str(tmp_path / "two")], tmp_path):

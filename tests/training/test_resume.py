@@ -28,6 +28,7 @@ class NoisyLoss(L1Loss):
         return super().forward(prediction, target, mask) * (0.5 + torch.rand(()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "loss"),
     [
@@ -59,6 +60,7 @@ TINY = (
 )
 
 
+@pytest.mark.slow
 def test_sigkill_at_random_steps_with_workers_and_augmentation(tmp_path, command_server):
     whole = command_server.run("eldenet.train", (*TINY, "output=whole"), tmp_path)
     assert whole.returncode == 0, whole.stderr

@@ -102,6 +102,7 @@ def test_ctrl_c_ends_the_command_with_status_130(model_folder: Path, tmp_path: P
     assert f"stopped by Ctrl-C: {frames} frame" in done.stdout
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_render_processes_without_their_tracebacks(tmp_path: Path, command_server) -> None:
     rendered = "rooms/*/train.frames"
     words = ("data=rooms", "data.root=rooms")

@@ -32,6 +32,7 @@ class Scripted(Trainer):
         return dict.fromkeys(METRICS, VALUES[self.progress.epoch - 1])
 
 
+@pytest.mark.slow
 def test_patience_ends_a_training_and_counts_on_in_a_resumed_one(tmp_path, capsys):
     options = {"epochs": 8, "patience": 3}
     _, _, whole = fit(tmp_path / "whole", trainer=make_trainer(Scripted, **options))
@@ -90,6 +91,7 @@ def start() -> nn.Module:
     return eldenet.load("eldenet_s")
 
 
+@pytest.mark.slow
 def test_a_compiled_step_gives_the_same_losses(tmp_path, monkeypatch):
     monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="eager"))
     losses = [
@@ -99,6 +101,7 @@ def test_a_compiled_step_gives_the_same_losses(tmp_path, monkeypatch):
     assert losses[1] == pytest.approx(losses[0], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_profile_names_the_parts_and_writes_a_trace(tmp_path, capsys):
     fit(tmp_path, epochs=3, profile=True)
     rows = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.strip()]
