@@ -18,9 +18,9 @@ from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.compose import listed
 from eldenet.deploy.benchmarking.rows import append_rows, machine, network_digest, other_machine, read_rows
 from eldenet.deploy.benchmarking.tables import read_accuracies, write_results
+from eldenet.deploy.calibration_pictures import read_pictures
 from eldenet.deploy.metadata import describe, is_whole
 from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
-from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import as_image
 from eldenet.deploy.runtimes import PACKAGES, PRECISIONS, RUNTIMES, TORCH
 from eldenet.evaluation.metric_names import METRICS

@@ -113,10 +113,10 @@ def export(s: ExportSettings) -> Path:
         needed.append("onnxruntime" if s.format == "onnx" else "nncf")
     require(f"format={s.format}, precision={s.precision}", *needed)
     find_checkpoint(s.checkpoint, "checkpoint")
+    from eldenet.deploy.calibration_pictures import read_pictures
     from eldenet.deploy.metadata import describe
     from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
     from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
-    from eldenet.deploy.pictures import read_pictures
     from eldenet.results.run_log import RunLog, untrained_note
 
     model = eldenet.load(s.checkpoint, trusted_modules=listed(s.trusted_modules))

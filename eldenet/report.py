@@ -40,7 +40,7 @@ def report(s: ReportSettings) -> None:
         return report_study(Path(s.study))
     if s.runs is None:
         raise ValueError("give runs=... on the command line")
-    from eldenet.results.comparison import report_runs
+    from eldenet.results.report_table import report_runs
 
     report_runs(
         listed(s.runs),

@@ -1,6 +1,5 @@
-"""Help texts of the commands, and advice on settings that do not exist."""
+"""Help texts of the commands, and the mistakes of their command lines."""
 
-import difflib
 import inspect
 import json
 import os
@@ -16,31 +15,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import OverrideParseException
 
 from eldenet.cli.commands import module_of
+from eldenet.cli.mistakes import line_on_choice, line_on_setting
 from eldenet.compose import choices, command_of, compose_config, config_folder, groups, plain
 
-MEANT = {  # settings as other tools, and earlier states, call them
-    "weights": "checkpoint",
-    "model": "checkpoint",
-    "input": "source",
-    "image": "source",
-    "video": "source",
-    "run_dir": "output",
-    "early_stopping": "trainer.patience",
-    "early_stop": "trainer.patience",
-    "amp": "runtime.precision",
-    "fp16": "runtime.precision",
-    "bf16": "runtime.precision",
-    "half": "runtime.precision",
-    "learning_rate": "optimizer.lr",
-    "lr_scheduler": "scheduler",
-    "max_epochs": "trainer.epochs",
-    "num_epochs": "trainer.epochs",
-    "batch": "trainer.batch_size",
-    "num_workers": "runtime.workers",
-    "gradient_clip_val": "trainer.max_grad_norm",
-    "resume": "ckpt_path",
-    "pretrained": "weights",
-}
 WRONG_VALUE = re.compile(r"^[\w.]+=.*: give ")
 FIELD = re.compile(r"(?P<name>\w+): .+?(?P<comment>  # .*)?$")  # of a dataclass
 HOME = re.compile(r"(?<=[=\[,\"'])~(?=/|$)")  # at the start of a path, or of one in a list
@@ -48,7 +25,6 @@ SHOWING = ("-h", "--help", "--hydra-help", "--version")  # options at which argp
 CHOICE = re.compile(  # in Hydra's words
     r"Could not find '(?P<name>[^']+)'\s+Available options in '(?P<group>[^']+)':\n(?P<options>(?:\t.+\n?)+)"
 )
-MOST_MEANT = 5  # names in a question
 QUOTES = (
     "close every bracket and quote; a value with spaces or special characters needs two pairs of quotes: "
     "'source=\"my photo (1).jpg\"'"
@@ -155,7 +131,7 @@ def advice(config_name: str, words: Sequence[str]) -> str:
             compose_config(config_name, job, sources)
     except ValueError as error:
         if choice := CHOICE.search(str(error)):
-            return _choice(choice["group"], choice["name"], choice["options"].split())
+            return line_on_choice(choice["group"], choice["name"], choice["options"].split())
         twice = re.search("Multiple values for|appears more than once|force-add of config groups", str(error))
         added = [word for word in words if word.startswith("+") and not word.startswith("+experiment")]
         if twice and added:
@@ -163,7 +139,7 @@ def advice(config_name: str, words: Sequence[str]) -> str:
         unknown = re.search(r"Could not override '(.+?)'", str(error))
         if unknown:
             others = [word for word in words if getattr(_parsed(word), "key_or_group", "") != unknown[1]]
-            return _nearest(unknown[1], _settings(config_name, others, sources))
+            return line_on_setting(unknown[1], _settings(config_name, others, sources))
         if WRONG_VALUE.search(str(error)):
             sweep = re.match(r"([\w.]+)=\[?\d+ ?(\.\.|-|:|,| )", str(error))
             return str(error) + (f"; for several runs -m {sweep[1]}=1,2,3" if sweep else "")
@@ -177,7 +153,7 @@ def wrong_option(config_name: str, fault: str) -> str:
     known = _settings(config_name, [])
     if key in known:
         return f"{option}: settings have no dashes, write {key}=value"
-    if option and "did you mean" in (line := _nearest(key, known)):
+    if option and "did you mean" in (line := line_on_setting(key, known)):
         return f"{option}: settings have no dashes, and {line}"
     return f"{fault} (--help shows what there is)"
 
@@ -206,7 +182,7 @@ def _no_choice(config_name: str, words: Sequence[str]) -> str:
         override = _parsed(word)
         group = override.key_or_group
         if group in options and isinstance(override.value(), bool | int | float | None):
-            return _choice(group, word.partition("=")[2], options[group])
+            return line_on_choice(group, word.partition("=")[2], options[group])
     return ""
 
 
@@ -234,7 +210,7 @@ def _added(config_name: str, words: Sequence[str], sources: Sequence[str]) -> st
             known = _flat(config)
             if "_target_" in section:
                 known |= dict.fromkeys(f"{place}{one}" for one in _arguments(section["_target_"]))
-            return _nearest(key, known)
+            return line_on_setting(key, known)
     return ""
 
 
@@ -307,33 +283,6 @@ def _parsed(word: str) -> Any:
         return OverridesParser.create().parse_overrides([word])[0]
     except OverrideParseException:
         return None
-
-
-def _choice(group: str, name: str, options: Sequence[str]) -> str:
-    """Return a line on a choice that a group does not have."""
-    name = name.removeprefix(f"{group}/")
-    small = name.lower().replace("-", "_")
-    near = [option for option in options if option.startswith(f"{small}_")] if small not in options else []
-    near = near or difflib.get_close_matches(small, options, 1)
-    meant = f"did you mean {' or '.join(near)}? " if 0 < len(near) <= MOST_MEANT else ""
-    return f"{group}={name}: {meant}choose from {', '.join(options)}"
-
-
-def _nearest(key: str, known: dict[str, Any]) -> str:
-    """Return a line that asks whether the settings with the same last name, or a similar one, were meant."""
-    if key == "experiment":  # a group that no default names
-        return "experiment=... needs a plus: write +experiment=..."
-    last = key.rpartition(".")[2]
-    others = [name for name in known if name != key]  # it may exist with other choices
-    alike = [name for name in others if name.rpartition(".")[2] == last]
-    alike = alike or [name for name in others if name in (MEANT.get(key), MEANT.get(last))]
-    ends = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in others}, 1, 0.8)
-    alike = alike or difflib.get_close_matches(key, others, 1)
-    alike = alike or [name for name in others if name.rpartition(".")[2] in ends]
-    if "/" in key:  # a group of choices
-        alike = [name.replace(".", "/") for name in alike]
-    found = f"did you mean {' or '.join(alike[:3])}?" if alike else "--help lists all settings"
-    return f"there is no setting {key}: {found}"
 
 
 def _settings(config_name: str, words: Sequence[str], sources: Sequence[str] = ()) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.data.file_checks import decode_picture
+from eldenet.data.picture_decoding import decode_picture
 from eldenet.data.ros_messages import COLORS, is_distorted, read_color, read_intrinsics, read_pose, seconds
 from eldenet.geometry import four_numbers, intrinsic_matrix
 from eldenet.system.errors import reading

@@ -12,6 +12,7 @@ from eldenet.data.frame_lists import stated_scale
 from eldenet.data.io import Encoding, depth_encoding, is_turned, read_depth, read_image, read_raw_depth
 from eldenet.data.paths import composed, find_root, natural_order
 from eldenet.data.recordings import Layout, RecordedFrame
+from eldenet.data.splits import val_blocks, val_scenes
 from eldenet.geometry import resample_depth, resize_sparse, same_aspect
 from eldenet.system.checks import one_of
 from eldenet.system.files import read_text
@@ -216,52 +217,11 @@ class FolderDataset(FileDataset):
         return image, depth
 
 
-def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -> tuple[list[int], list[int]]:
-    """Return the numbers of ``count`` frames for validation, and of those beside them that are in no part.
-
-    Frames are in the order of time; the settings are those of :class:`FolderDataset`.
-
-    Raises:
-        ValueError: the settings are out of range, or there is one frame.
-    """
-    if not 0.0 < fraction < 1.0 or blocks < 2 or gap < 0:
-        raise ValueError(
-            f"val_fraction={fraction}, blocks={blocks}, gap={gap}: give a fraction between 0 and 1, at least "
-            "2 blocks and a gap of at least 0"
-        )
-    if count < 2:
-        raise ValueError(
-            f"{count} frame cannot be split: give more for a training, or score it with data.test_split=all"
-        )
-    parts = np.array_split(np.arange(count), min(blocks, count))
-    val = {int(i) for part in _drawn(len(parts), fraction, seed) for i in parts[part]}
-    beside = {i + step for i in val for step in range(-gap, gap + 1)} - val
-    return sorted(val), sorted(i for i in beside if 0 <= i < count)
-
-
 def named_parts(frames: Sequence[RecordedFrame]) -> list[str]:
     """Return "train", "val" or "test" of each frame, if folders or scenes are named so; else nothing."""
     folders = [f"{frame.scene}/{frame.files[0]}".lower().split("/")[:-1] for frame in frames]
     parts = [next((PARTS[folder] for folder in above if folder in PARTS), "") for above in folders]
     return parts if "train" in parts and "" not in parts and len(set(parts)) > 1 else []
-
-
-def val_scenes(scenes: Sequence[str], fraction: float, seed: int) -> list[int]:
-    """Return the numbers of frames for validation, whole scenes; none if there are not several scenes.
-
-    ``scenes`` are those of each frame, "" if not known; whole ones are drawn by ``seed``.
-    """
-    kinds = sorted(set(scenes), key=natural_order)
-    if len(kinds) < 2 or not 0.0 < fraction < 1.0:
-        return []
-    val = {kinds[i] for i in _drawn(len(kinds), fraction, seed)}
-    return [i for i, scene in enumerate(scenes) if scene in val]
-
-
-def _drawn(count: int, fraction: float, seed: int) -> list[int]:
-    """The numbers of the parts for validation: at least one, not all."""
-    drawn = np.random.default_rng(seed).permutation(count)
-    return sorted(drawn[: min(max(1, round(fraction * count)), count - 1)].tolist())
 
 
 def _named(names: Sequence[str], val_names: Sequence[str] | str | Path, *, wanted: bool) -> list[str]:

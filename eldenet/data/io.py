@@ -1,6 +1,6 @@
 """Read images and depth maps from disk: a damaged file or a wrong unit is an error that names the file.
 
-A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``file_checks.FORMATS``.
+A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``picture_decoding.FORMATS``.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.data.array_files import check_pixels, read_array, read_bytes, read_exr, read_pfm
-from eldenet.data.file_checks import FORMATS, ORIENTATION, decode_picture, is_heif, is_raw_photo, picture_size
+from eldenet.data.picture_decoding import (
+    FORMATS,
+    ORIENTATION,
+    decode_picture,
+    is_heif,
+    is_raw_photo,
+    picture_size,
+)
 
 HEIF_ENDINGS = (".heic", ".heif")
 IMAGE_ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".ppm", ".pgm", ".webp", *HEIF_ENDINGS)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from eldenet.data.paths import natural_order
 from eldenet.system.digests import digest_of
 
 SPLITS = ("train", "val", "test")
@@ -61,6 +62,47 @@ def hold_out(names: Sequence[str], split: str) -> list[int]:
 def _place(scene: str) -> float:
     """A number in [0, 1) that depends on the name alone."""
     return int(digest_of(scene)[:16], 16) / 2**64
+
+
+def val_blocks(count: int, fraction: float, blocks: int, gap: int, seed: int) -> tuple[list[int], list[int]]:
+    """Return the numbers of ``count`` frames for validation, and of those beside them that are in no part.
+
+    Frames are in the order of time; the settings are those of :class:`~eldenet.data.folder.FolderDataset`.
+
+    Raises:
+        ValueError: the settings are out of range, or there is one frame.
+    """
+    if not 0.0 < fraction < 1.0 or blocks < 2 or gap < 0:
+        raise ValueError(
+            f"val_fraction={fraction}, blocks={blocks}, gap={gap}: give a fraction between 0 and 1, at least "
+            "2 blocks and a gap of at least 0"
+        )
+    if count < 2:
+        raise ValueError(
+            f"{count} frame cannot be split: give more for a training, or score it with data.test_split=all"
+        )
+    parts = np.array_split(np.arange(count), min(blocks, count))
+    val = {int(i) for part in _drawn(len(parts), fraction, seed) for i in parts[part]}
+    beside = {i + step for i in val for step in range(-gap, gap + 1)} - val
+    return sorted(val), sorted(i for i in beside if 0 <= i < count)
+
+
+def val_scenes(scenes: Sequence[str], fraction: float, seed: int) -> list[int]:
+    """Return the numbers of frames for validation, whole scenes; none if there are not several scenes.
+
+    ``scenes`` are those of each frame, "" if not known; whole ones are drawn by ``seed``.
+    """
+    kinds = sorted(set(scenes), key=natural_order)
+    if len(kinds) < 2 or not 0.0 < fraction < 1.0:
+        return []
+    val = {kinds[i] for i in _drawn(len(kinds), fraction, seed)}
+    return [i for i, scene in enumerate(scenes) if scene in val]
+
+
+def _drawn(count: int, fraction: float, seed: int) -> list[int]:
+    """The numbers of the parts for validation: at least one, not all."""
+    drawn = np.random.default_rng(seed).permutation(count)
+    return sorted(drawn[: min(max(1, round(fraction * count)), count - 1)].tolist())
 
 
 def evenly_spaced(count: int, wanted: int | None) -> list[int]:

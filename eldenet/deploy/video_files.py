@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from eldenet.data.array_files import check_pixels
-from eldenet.data.file_checks import FORMATS
 from eldenet.data.io import IMAGE_ENDINGS
+from eldenet.data.picture_decoding import FORMATS
 from eldenet.geometry import resize_image
 from eldenet.system.errors import reading, writing
 from eldenet.system.extras import require

@@ -10,9 +10,8 @@ import numpy as np
 
 import eldenet
 from eldenet.compose import listed
-from eldenet.data.folder import val_blocks
 from eldenet.data.io import read_image
-from eldenet.data.splits import evenly_spaced
+from eldenet.data.splits import evenly_spaced, val_blocks
 from eldenet.deploy.prediction import Source
 from eldenet.deploy.predictor import DepthPredictor, enlarged, for_camera
 from eldenet.deploy.video_files import VideoFile

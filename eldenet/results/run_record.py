@@ -1,4 +1,4 @@
-"""``run.json``, the record of a run: how it is read, and the environment that it states."""
+"""``run.json``, the record of a run (``score.py`` fills it): how it is read, and the environment in it."""
 
 import os
 import platform

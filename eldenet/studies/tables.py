@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER
 from eldenet.results import paired_intervals
-from eldenet.results.comparison import Row, constant_rows, group_rows, refuse_mixtures
 from eldenet.results.paired_intervals import Difference
+from eldenet.results.report_table import Row, constant_rows, group_rows, refuse_mixtures
 from eldenet.results.run_record import check_figures
 from eldenet.results.tables import CORE, heading, number, protocol_line, training_line
 from eldenet.studies.latency import Latencies

@@ -16,9 +16,9 @@ from eldenet.compose import compose
 from eldenet.decoders.fast_upconv import FastUpConvDecoder
 from eldenet.decoders.upconv import UpConvDecoder
 from eldenet.deploy import runtimes
+from eldenet.deploy.calibration_pictures import read_pictures
 from eldenet.deploy.metadata import read_metadata
 from eldenet.deploy.onnx_export import needs_fixed_size, write_onnx
-from eldenet.deploy.pictures import read_pictures
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.export import ExportSettings, compare_with_torch, export, map_errors, target_of
 from eldenet.results.run_log import RunLog

@@ -387,7 +387,7 @@ def _plan(root: Path) -> Any:
 
 
 def _report(root: Path) -> Any:
-    from eldenet.results.comparison import NEEDED_FOR_COSTS, find_runs, table_of
+    from eldenet.results.report_table import NEEDED_FOR_COSTS, find_runs, table_of
 
     return table_of(find_runs([str(root)], NEEDED_FOR_COSTS), ("rmse", "delta1"))
 

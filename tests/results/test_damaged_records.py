@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support.stored_study import figures, record_of, write_plan
 
-from eldenet.results.comparison import report_runs
 from eldenet.results.paired_intervals import per_image
+from eldenet.results.report_table import report_runs
 from eldenet.system.files import write_json
 
 

@@ -95,7 +95,7 @@ def read_accuracies(folders: Sequence[str], metric: str, models: Collection[str]
         ValueError: no run is of one of the models, the runs do not compare (other frames, another protocol),
             or runs of one name differ in more than their seed.
     """
-    from eldenet.results.comparison import find_runs, group_rows, refuse_mixtures
+    from eldenet.results.report_table import find_runs, group_rows, refuse_mixtures
     from eldenet.results.tables import heading
 
     if not folders:

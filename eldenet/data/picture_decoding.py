@@ -1,6 +1,7 @@
-"""Checks that a picture's file is whole: OpenCV returns a full-size picture from a third of a file.
+"""Pictures from the bytes of their files: size, whether the file is whole, pixels.
 
-One check per format, on its bytes, returns what is wrong or "". A new format is one row in ``FORMATS``.
+OpenCV returns a full-size picture from a third of a file, so each format has a check of its bytes, which
+returns what is wrong or "". A new format is one row in ``FORMATS``.
 """
 
 import io

@@ -11,7 +11,7 @@ import pytest
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
 from eldenet.evaluation.protocol import EvalProtocol
-from eldenet.results.comparison import find_runs, group_rows, report_runs, table_of
+from eldenet.results.report_table import find_runs, group_rows, report_runs, table_of
 from eldenet.results.run_log import RunLog
 from eldenet.results.tables import protocol_line, to_csv, to_latex, to_markdown
 from eldenet.studies.report import write_study_report
