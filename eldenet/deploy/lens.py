@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 Photo = Union[Path, "Image"]  # a file, or a PIL picture that was not turned yet
 EXIF_BLOCK, FOCAL_35MM, EXIF_WIDTH, EXIF_HEIGHT = 0x8769, 0xA405, 0xA002, 0xA003
+ROUNDED_EXIF = 0.1  # relative: EXIF rounds the focal length, and 35 mm film has no one width
 UNKNOWN_LENS = "unknown, so all distances may be off by one factor: give fov=, focal= or intrinsics="
 
 
@@ -88,6 +89,11 @@ class Lens:
         if self.known_fov is not None:
             if self.given and focal is not None:
                 check_known_lens(self.known_fov, focal, size[1])
+            elif focal is not None and abs(focal / focal_of_fov(self.known_fov, size[1]) - 1) > ROUNDED_EXIF:
+                warn_once(
+                    f"fx {focal:.0f} px ({origin}) of a picture {size[1]} px wide is not the lens that the "
+                    f"file was exported for, fov={self.known_fov:g}: its distances may be wrong"
+                )
             return None
         self.found = (
             UNKNOWN_LENS if focal is None else f"fx {focal:.0f} px ({origin}), pictures {size[1]} px wide"

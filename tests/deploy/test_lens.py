@@ -167,6 +167,15 @@ def test_exif_of_a_crop_of_another_shape_is_not_its_lens(
     assert exif_focal(tmp_path / "b.jpg", (48, 24)) is None
 
 
+@pytest.mark.parametrize(("film", "said"), [(26, False), (50, True)])
+def test_a_file_for_one_camera_doubts_the_exif_of_another(
+    film: int, said: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = photo_with_exif(tmp_path / f"{film}.jpg", (48, 64), film)
+    assert Lens(None, known_fov=69).focal_of((48, 64), path) is None
+    assert ("is not the lens that the file was exported for, fov=69" in caplog.text) == said
+
+
 def test_a_field_of_view_of_upright_and_of_other_pictures_is_asked_about(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
