@@ -189,7 +189,11 @@ class OnRobot:
             low = as_ranges(depth, matrix, camera_height, tilt=tilt, low=nearest_depth(depth, sigma))
         ranges, cautious = fill_unseen(ranges, low)
         if self.watch is not None:
-            look = Look(raw, front(ranges), now[0], image, camera, camera_height, latency)
+            measured, hole = ranges, ~((depth > 0) | np.isneginf(depth))
+            if depth.ndim == 2 and hole.any():  # where the camera's reach ends, a hole drives along
+                known = np.where(hole, np.inf, depth)
+                measured = fill_unseen(as_ranges(known, matrix, camera_height, tilt=tilt), low)[0]
+            look = Look(raw, front(ranges), front(measured), now[0], image, camera, camera_height, latency)
             if (reason := self.watch.judge(look, self._sent)) is not None:
                 return self._stand(reason)
         pose, place = now[0], goal_row[0]

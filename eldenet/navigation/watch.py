@@ -49,6 +49,7 @@ class Look(NamedTuple):
     Attributes:
         depth: as given, of any shape [m].
         ranges: ``(columns,)`` of it [m].
+        measured: the same without those of holes in a depth map, which are far [m].
         pose: ``(3,)`` x, y [m] and heading [rad] of the odometry.
         image: ``(H, W, 3)`` uint8 that the depth was predicted from; None: unknown.
         camera: of a depth map, in the level frame; None: ranges.
@@ -58,6 +59,7 @@ class Look(NamedTuple):
 
     depth: np.ndarray
     ranges: np.ndarray
+    measured: np.ndarray
     pose: np.ndarray
     image: np.ndarray | None
     camera: PinholeCamera | None
@@ -353,10 +355,10 @@ def changes(ranges: np.ndarray, before: np.ndarray, now: np.ndarray) -> bool:
 
 def contradicts(look: Look, before: Look) -> bool:
     """Whether most of two scans agree with each other, but not with the motion between them."""
-    inside = (look.ranges > ROBOT.near) & (look.ranges < ROBOT.far)
-    bearing, away = seen_from(look.pose, look.ranges, before.pose)
+    inside = (look.measured > ROBOT.near) & (look.measured < ROBOT.far)
+    bearing, away = seen_from(look.pose, look.measured, before.pose)
     seen = inside & (np.abs(bearing) < ROBOT.field_of_view / 2)
-    first, second = (_toward(bearing[seen], ranges) for ranges in (before.ranges, look.ranges))
+    first, second = (_toward(bearing[seen], ranges) for ranges in (before.measured, look.measured))
     wrong = (np.abs(np.log(first / away[seen])) > OTHER_RANGE) & (np.abs(np.log(first / second)) < SAME_RANGE)
     return bool(seen.any() and wrong.mean() > 0.5)
 
@@ -370,8 +372,8 @@ def stays(look: Look, small: np.ndarray | None, before: Look, before_small: np.n
     """Whether two looks show the same but for noise; ``small (24, 32)`` are their pictures."""
     if small is not None and before_small is not None and np.abs(small - before_small).mean() > SAME_PIXEL:
         return False
-    inside = np.minimum(look.ranges, before.ranges) < ROBOT.far
-    changed = np.abs(np.log(look.ranges[inside] / before.ranges[inside]))
+    inside = np.minimum(look.measured, before.measured) < ROBOT.far
+    changed = np.abs(np.log(look.measured[inside] / before.measured[inside]))
     return bool(inside.mean() > EVEN and np.median(changed) < SAME_RANGE)
 
 

@@ -160,6 +160,17 @@ def test_wheels_that_slip_stop_it(make, picture):
 
 
 @DRIVERS
+def test_a_camera_that_knows_nothing_beyond_its_reach_does_not_stop_it(make):
+    """A depth camera gives 0 there, so in a large hall all ranges end where its reach does."""
+    driver, rng, pose = make(), np.random.default_rng(0), (0.0, 0.0, 0.0)
+    floor = np.where(np.isfinite(hall()) & (hall() < 4.0), hall(), 0.0)
+    for _ in range(15):
+        depth = floor * rng.normal(1, 0.01, SIZE)
+        pose = arc(*pose, *driver.step(depth, GOAL, pose, intrinsics=CAMERA), ROBOT.period)
+        assert driver.stop_reason is None
+
+
+@DRIVERS
 def test_a_robot_that_stands_may_see_the_same_again(make):
     driver = make()
     for _ in range(4):
