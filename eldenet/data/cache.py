@@ -43,7 +43,8 @@ def open_cache(dataset: "DepthDataset") -> "FrameCache | None":
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / "about.json", json.dumps(identity, indent=1))
         cache = FrameCache(folder / "frames.bin", len(dataset), slot)
-        held = (folder / "frames.bin").stat().st_blocks * 512
+        found = (folder / "frames.bin").stat()
+        held = found.st_blocks * 512 if hasattr(found, "st_blocks") else found.st_size  # Windows
         free = shutil.disk_usage(folder).free
     except OSError as error:
         _LOG.warning("no frame cache in %s (%s): every frame is read from its files", folder, error)

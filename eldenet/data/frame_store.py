@@ -65,14 +65,14 @@ class FrameStore:
         """Return a copy of the frame in a slot, or None if the slot holds no whole frame with this stamp."""
         start = index * self.slot
         # no memory map: on a full tmpfs, reading an empty slot through one would kill the process
-        header = os.pread(self.handle, HEADER, start)
+        header = _read(self.handle, HEADER, start)
         if len(header) < HEADER or header[:16] != stamp:
             return None
         _, rows, cols, depth_rows, depth_cols, has_intrinsics, *camera = _FIELDS.unpack_from(header)
         pixels, points = rows * cols * 3, depth_rows * depth_cols
         if min(pixels, points) < 0 or HEADER + pixels + 4 * points > self.slot:
             return None
-        content = bytearray(os.pread(self.handle, pixels + 4 * points, start + HEADER))
+        content = bytearray(_read(self.handle, pixels + 4 * points, start + HEADER))
         if len(content) < pixels + 4 * points:
             return None
         image = np.frombuffer(content, np.uint8, pixels).reshape(rows, cols, 3)
@@ -111,17 +111,29 @@ class FrameStore:
 
 
 def _open(path: Path) -> int:
+    binary = getattr(os, "O_BINARY", 0)  # of Windows
     try:
-        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        return os.open(path, os.O_RDWR | os.O_CREAT | binary, 0o644)
     except OSError:
-        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)  # a shared file that this user may only read
+        return os.open(path, os.O_RDONLY | binary)  # a shared file that this user may only read
+
+
+def _read(handle: int, size: int, start: int) -> bytes:
+    if hasattr(os, "pread"):
+        return os.pread(handle, size, start)
+    os.lseek(handle, start, os.SEEK_SET)  # Windows: no two processes share a handle there
+    return os.read(handle, size)
 
 
 def _write(handle: int, content: bytes, start: int, path: Path) -> None:
     done = 0
     try:
         while done < len(content):
-            done += os.pwrite(handle, content[done:], start + done)
+            if hasattr(os, "pwrite"):
+                done += os.pwrite(handle, content[done:], start + done)
+            else:
+                os.lseek(handle, start + done, os.SEEK_SET)
+                done += os.write(handle, content[done:])
     except OSError as error:  # name the file
         raise OSError(error.errno, error.strerror, str(path)) from None
 

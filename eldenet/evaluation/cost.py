@@ -1,7 +1,6 @@
 """Cost of a model: parameters, multiply-adds, latency and throughput, and what they were measured on."""
 
 import itertools
-import resource
 import sys
 from dataclasses import dataclass
 
@@ -72,6 +71,12 @@ def peak_memory_mb(device: torch.device) -> float:
     """Peak memory so far [MB]: of the device on CUDA, else of this process."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 1e6
+    if sys.platform == "win32":
+        import psutil
+
+        return psutil.Process().memory_info().peak_wset / 1e6
+    import resource
+
     unit = 1 if sys.platform == "darwin" else 1024  # Linux counts in KiB
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 

@@ -1,6 +1,5 @@
 """``run.json``, the record of a run (``score.py`` fills it): how it is read, and the environment in it."""
 
-import os
 import platform
 import shlex
 import shutil
@@ -91,6 +90,7 @@ def scored_run(where: str | Path, record: Mapping[str, Any], *needed: str) -> di
 
 def environment() -> dict[str, Any]:
     """Time, command, versions, hardware, and commit of a run."""
+    import psutil
     import torch
 
     return {
@@ -101,7 +101,7 @@ def environment() -> dict[str, Any]:
         "hardware": {
             "processor": _processor(),
             "cores": available_cores(),
-            "memory_gb": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+            "memory_gb": round(psutil.virtual_memory().total / 2**30, 1),
             "accelerator": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
             "system": f"{platform.system()} {platform.machine()}",
         },

@@ -37,20 +37,24 @@ def sole_writer(folder: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / LOCK
+    path, holder = folder / LOCK, "another process"
     try:
         lock = FileLock(path, timeout=0).acquire()
     except Timeout:
-        holder = path.read_text(errors="replace") or "another process"
+        with suppress(PermissionError):
+            holder = path.read_text(errors="replace") or holder
         raise FolderInUse(
             f"{folder} is in use by {holder}: wait until that has ended, or give another folder"
         ) from None
     with lock:
-        path.write_text(f"process {os.getpid()} on {platform.node()}")
+        with suppress(PermissionError):  # Windows lets nobody read or write a locked file
+            path.write_text(f"process {os.getpid()} on {platform.node()}")
         try:
             yield
         finally:
-            path.unlink(missing_ok=True)  # whoever opened it in between sees that it is gone, and tries again
+            with suppress(PermissionError):
+                # whoever opened it in between sees that it is gone, and tries again
+                path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -92,19 +96,13 @@ def remove_unfinished(folder: Path) -> None:
     if key in _seen:
         return
     _seen.add(key)
+    import psutil
+
     for name in os.listdir(folder):
         found = _PART.fullmatch(name)
-        if found and not _lives(int(found[1])):
+        if found and not psutil.pid_exists(int(found[1])):
             with suppress(OSError):
                 (folder / name).unlink()
-
-
-def _lives(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # else it is another user's
-    return True
 
 
 def copy_file(source: Path, path: Path) -> None:

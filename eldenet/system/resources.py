@@ -38,11 +38,9 @@ def available_cores() -> int:
 
 def available_memory() -> int:
     """Return the bytes of memory that are still free on this machine or in this container."""
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        free = next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, StopIteration):  # no Linux
-        free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    import psutil
+
+    free: int = psutil.virtual_memory().available
     most = _cgroup("memory.max")
     if not most.isdigit():
         return free

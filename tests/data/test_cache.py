@@ -142,6 +142,16 @@ def test_a_changed_file_is_read_again_alone(tmp_path: Path) -> None:
     assert reads_of(NYULabelled(root, **options)) == []
 
 
+def test_frames_are_cached_without_the_calls_that_windows_lacks(tmp_path: Path, monkeypatch) -> None:
+    for name in ("pread", "pwrite", "O_CLOEXEC"):
+        monkeypatch.delattr(os, name)
+    root, options = layouts.labeled(tmp_path), {"cache": "disk", "resize_on_load": (12, 16)}
+    assert len(reads_of(NYULabelled(root, **options))) == 2
+    again = NYULabelled(root, **options)
+    assert reads_of(again) == []
+    assert same(again[0], NYULabelled(root, resize_on_load=(12, 16))[0])
+
+
 def test_changed_code_of_an_adapter_is_noticed(tmp_path: Path, monkeypatch) -> None:
     root = layouts.labeled(tmp_path / "data")
     module = tmp_path / "adapter_of_a_user.py"

@@ -100,3 +100,19 @@ def test_a_folder_is_locked_until_its_process_ends_however_it_ends(tmp_path: Pat
     for _ in range(2):
         with sole_writer(folder):
             assert str(os.getpid()) in (folder / LOCK).read_text()
+
+
+def test_a_locked_file_that_nobody_may_write_as_on_windows_locks_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    for name in ("read_text", "write_text", "unlink"):
+        monkeypatch.setattr(Path, name, refuse)
+    with (
+        sole_writer(tmp_path),
+        pytest.raises(FolderInUse, match="in use by another process"),
+        sole_writer(tmp_path),
+    ):
+        pass

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from eldenet.results.run_record import environment
 from eldenet.system import resources
 from eldenet.system.errors import line_of
 from eldenet.system.resources import available_cores, available_memory, choose_resources
@@ -31,6 +32,11 @@ def test_free_memory_of_a_container_is_its_limit_minus_its_use(cgroup: Path) -> 
     assert available_memory() == 500_000  # the cache of inactive files counts as free
     (cgroup / "memory.current").write_text("1300000\n")
     assert available_memory() == 0
+
+
+def test_memory_needs_no_sysconf_which_windows_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "sysconf")
+    assert environment()["hardware"]["memory_gb"] > 0.1
 
 
 @pytest.mark.parametrize(
