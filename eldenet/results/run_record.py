@@ -18,6 +18,7 @@ from eldenet.system.files import read_json
 from eldenet.system.resources import available_cores
 
 RUN_FILE = "run.json"
+CPU_INFO, BOARD = Path("/proc/cpuinfo"), Path("/proc/device-tree/model")
 ADVICE = "it is damaged, or another program or command wrote it: restore it, or leave it out"
 _PACKAGES = ["eldenet", "torch", "torchvision", "numpy", "kornia", "albumentations", "opencv-python-headless"]
 _PACKAGES += ["hydra-core", "accelerate", "torchmetrics", "mujoco"]
@@ -99,7 +100,7 @@ def environment() -> dict[str, Any]:
         "python": platform.python_version(),
         "versions": {name: version_of(name) for name in _PACKAGES},
         "hardware": {
-            "processor": _processor(),
+            "processor": processor_name(),
             "cores": available_cores(),
             "memory_gb": round(psutil.virtual_memory().total / 2**30, 1),
             "accelerator": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
@@ -117,12 +118,17 @@ def version_of(package: str) -> str | None:
         return None
 
 
-def _processor() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text().splitlines():
+def processor_name() -> str:
+    """Return the name of the processor, or of the board where it has none, as on a Raspberry Pi or Jetson."""
+    if CPU_INFO.is_file():
+        for line in CPU_INFO.read_text().splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
+    if BOARD.is_file():
+        return BOARD.read_text().strip("\0")
+    if sys.platform == "darwin":
+        ask = ["sysctl", "-n", "machdep.cpu.brand_string"]
+        return subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip()
     return platform.processor() or platform.machine()
 
 
