@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.networks import picture, small_net
+from support.networks import MODELS, picture, small_net
 from support.synthetic import SyntheticDepth
 from support.training import ONE_THREAD, PROTOCOL, make_trainer
 
@@ -36,7 +36,7 @@ def canonical_net(**options: object) -> eldenet.DepthNet:
     return small_net(canonical_focal=CANONICAL, canonical_width=SIZE[1], **options)
 
 
-@pytest.mark.parametrize("name", eldenet.list_models())
+@pytest.mark.parametrize("name", MODELS)
 def test_meters_are_canonical_depth_times_the_ratio_of_focal_lengths(name: str) -> None:
     if name.startswith("se"):
         pytest.importorskip("timm")

@@ -46,6 +46,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_the_parts_of_contributing_train_together_and_another_project_loads_them(
     tmp_path: Path, command_server
 ) -> None:

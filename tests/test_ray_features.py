@@ -175,6 +175,7 @@ def written(model: DepthNet, tmp_path_factory: pytest.TempPathFactory) -> Callab
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "runtime"),
     [

@@ -5,17 +5,12 @@ import math
 import numpy as np
 import pytest
 import torch
-from support.networks import picture, same_model, small_net
+from support.networks import MODELS, picture, same_model, small_net
 
 import eldenet
 from eldenet.heads import LinearHead, LogHead, UncertainHead
 from eldenet.model import DepthNet
 from eldenet.uncertainty import DISTRIBUTIONS, NO_SIGMA, DepthEstimate, as_estimate, deviations
-
-LARGE = ("senet154_upconv", "resnet152_upconv", "vgg16_upconv", "seresnet50_upconv", "resnet50_upconv")
-MODELS = [
-    pytest.param(name, marks=pytest.mark.slow if name in LARGE else ()) for name in eldenet.list_models()
-]
 
 
 def uncertain(seed: int = 0, **options) -> DepthNet:

@@ -102,6 +102,7 @@ def test_a_row_with_other_weights_does_not_state_what_they_have_seen(tiny):
     assert (seen["eldenet_s"], seen["eldenet"]) == ("not stated", "the training frames alone")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
 def test_every_row_of_every_study_composes(folder):
     study = read_study(folder)

@@ -106,6 +106,7 @@ def report_is_right(folder: Path) -> None:
         assert (folder / name).stat().st_size > 200
 
 
+@pytest.mark.slow
 def test_a_row_of_another_study_is_run_once(tiny, tmp_path):
     add_to_plan(tiny, one_seed=True)
     other = tmp_path / "other"

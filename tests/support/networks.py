@@ -15,6 +15,11 @@ from eldenet.deploy.predictor import DepthPredictor
 from eldenet.heads import LinearHead, LogHead, UncertainHead
 from eldenet.model import DepthNet
 from eldenet.ray_features import RayFeatures
+from eldenet.weights import list_models
+
+_LARGE = ("senet154_upconv", "resnet152_upconv", "vgg16_upconv", "seresnet50_upconv", "resnet50_upconv")
+#: Names of all networks, as parameters of a test; the largest are slow.
+MODELS = [pytest.param(name, marks=pytest.mark.slow if name in _LARGE else ()) for name in list_models()]
 
 
 def small_net(seed: int = 0, **options: Any) -> DepthNet:

@@ -76,6 +76,7 @@ def _no_fake_tensors_are_kept() -> Iterator[None]:
     ssim._blur_matrix.cache_clear()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("choice", CHOICES, ids=str)
 def test_network_and_loss_need_nothing_of_the_host_on_a_gpu(choice: list[str]) -> None:
     with FakeTensorMode():
