@@ -29,7 +29,9 @@ from eldenet.system.checks import one_of
 SECTORS = 5
 HORIZON = 1.8  # duration of the arcs [s]
 SPEED_LAWS = ("paper", "turn", "prox")
-_LEVELS = 20  # of speed in the table of arcs
+SLOWS_WITHIN, SLOWEST = 3.0, 0.25  # distance to the goal [m] within which speed falls, to this share of it
+OBSTACLE_SLOWS_WITHIN, OBSTACLE_SLOWEST = 1.2, 0.15  # "prox": the same for an obstacle beyond ROBOT.near
+_LEVELS = 20  # of speed in the table of arcs, per m/s
 
 
 class Senses(NamedTuple):
@@ -77,8 +79,8 @@ class Observer:
         turn_factors: relative speed of each action; 0 turns on the spot, below 0 backs up. Unused by
             speed="paper".
         speed: speed law. "paper": falls with the goal's distance, as in the paper's prose (by our choice
-            within 3 m, to a quarter at least), the same for all actions; "turn": times the action's factor;
-            "prox": also slower near obstacles.
+            within :data:`SLOWS_WITHIN`, to :data:`SLOWEST`), the same for all actions; "turn": times the
+            action's factor; "prox": also slower near obstacles.
         memory: control periods to remember, of which every second scan is kept; 0: the last scan only.
         bins: bearings that the memory is divided into; 0: no memory columns.
         arcs: add the free time along each action's arc.
@@ -179,12 +181,13 @@ class Observer:
         return np.concatenate(columns, axis=1).astype(np.float32)
 
     def _speeds(self, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-        """Speed of each action ``(N, actions)`` [m/s]."""
-        speed = ROBOT.max_speed * np.clip(distance / 3.0, 0.25, 1.0)[:, None] * np.ones(self.actions)
+        """Speed of each action ``(N, actions)`` [m/s], by the distance to goal and obstacle ``(N,)`` [m]."""
+        speed = speed_by_distance(distance)[:, None] * np.ones(self.actions)
         if self.speed != "paper":
             speed = speed * self.turn_factors
         if self.speed == "prox":
-            speed = speed * np.clip((nearest - ROBOT.near) / 1.2, 0.15, 1.0)[:, None]
+            share = np.clip((nearest - ROBOT.near) / OBSTACLE_SLOWS_WITHIN, OBSTACLE_SLOWEST, 1.0)
+            speed = speed * share[:, None]
         return speed
 
     def _by_bearing(
@@ -215,3 +218,8 @@ class Observer:
                 times = table.time.ravel().take(cells + command[:, action].take(row))
                 out[row[first], action] = np.minimum.reduceat(times, first)
         return out * np.float32(STEP / HORIZON)
+
+
+def speed_by_distance(distance: np.ndarray) -> np.ndarray:
+    """Greatest speed ``(N,)`` [m/s] at distances ``(N,)`` [m] to the goal."""
+    return np.asarray(ROBOT.max_speed * np.clip(distance / SLOWS_WITHIN, SLOWEST, 1.0))

@@ -18,7 +18,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from eldenet.backbones.weights import refuse_not_finite
-from eldenet.navigation.observer import Observer, Senses
+from eldenet.navigation.observer import SLOWS_WITHIN, Observer, Senses
 from eldenet.navigation.on_robot import OnRobot
 from eldenet.navigation.policy_files import POLICY, policy_files
 from eldenet.navigation.qnetwork import QNetwork
@@ -26,8 +26,6 @@ from eldenet.system.digests import KEY, canonical, digest_of, weights_of
 from eldenet.system.errors import reading
 from eldenet.system.files import parse_json, write_bytes
 from eldenet.weights import check_packaged
-
-SLOWS_WITHIN = 3.0  # [m] in the observer's speed laws, and so in training
 
 
 class Driver(Observer):

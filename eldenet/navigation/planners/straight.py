@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.navigation.observer import Senses
+from eldenet.navigation.observer import Senses, speed_by_distance
 from eldenet.simulation.robot import ROBOT
 
 
 class Straight:
-    """Turns to the goal and drives there, more slowly while turning."""
+    """Turns to the goal and drives there, more slowly while turning and near the goal."""
 
     name = "straight"
 
@@ -23,5 +23,5 @@ class Straight:
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
         distance, bearing = senses.goal.T
         turn = np.clip(bearing / ROBOT.period / 2, -ROBOT.max_turn, ROBOT.max_turn)
-        speed = ROBOT.max_speed * np.clip(np.cos(bearing), 0.05, 1.0) * np.clip(distance / 3, 0.25, 1.0)
+        speed = speed_by_distance(distance) * np.clip(np.cos(bearing), 0.05, 1.0)
         return np.stack([speed, turn], axis=1)
