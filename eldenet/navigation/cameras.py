@@ -18,7 +18,7 @@ from eldenet.navigation.ranges import (
     fill_unseen,
     footprints_to_ranges,
 )
-from eldenet.navigation.sensors import FED_BY, Drift, Observation, SensorInstance, SimulatedSensor
+from eldenet.navigation.sensors import FED_BY, USUAL, Drift, SensorInstance, SensorScan, SimulatedSensor
 from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method
@@ -37,8 +37,9 @@ from eldenet.uncertainty import as_estimate
 from eldenet.weights import find_checkpoint
 
 FACES_VERSION = 2  # raise it whenever the near faces of boxes change: stored rows of `objects` name it
+SIZE = (96, 128)  # of frames, (height, width) [px]
 MAX_LIGHT = 10.0  # relative to a normal day; frames of 3 are glaring
-IN_FRONT = 0.15  # share of a box's range: depth that is nearer by more belongs to something else
+IN_FRONT = 0.15  # share of a near face's range: what is nearer by more belongs to something else
 _VEHICLE = ClassPrior((1.2, 0.7, 0.9), (0.05, 0.05, 0.1), "box")
 #: Sizes of the objects in arenas (:func:`eldenet.simulation.arenas.draw_obstacles`); cars are small there.
 ARENA_PRIORS = {
@@ -53,8 +54,8 @@ ARENA_PRIORS = {
 class Camera(SimulatedSensor):
     """A rendered RGB frame and a depth network; with a lifter, the near faces of objects too.
 
-    Each column's range is the nearest one in the depth map. With a lifter, the near face of the box around a
-    detected object replaces it, unless the depth map shows something well in front of the face.
+    Ranges are those that :func:`~eldenet.navigation.ranges.depth_to_ranges` finds. With a lifter, the near
+    face of the box around a detected object replaces a column's range, unless that is well in front of it.
 
     A network that predicts sigma also says how near things may be: the low end of each pixel's interval of
     ``CAUTION``. The robot drives as slowly as that asks for, and forgets remembered obstacles only up to
@@ -88,9 +89,9 @@ class Camera(SimulatedSensor):
         lifter: BoxLifter | None = None,
         detector: Detector | None = None,
         *,
-        size: tuple[int, int] = (96, 128),
+        size: tuple[int, int] = SIZE,
         light: float = 1.0,
-        drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+        drift: Drift | dict[str, float] = USUAL,
         latency: float = 0.0,
         pitch: float = 0.0,
         artifacts: StereoArtifacts | None = None,
@@ -118,7 +119,7 @@ class Camera(SimulatedSensor):
 
 
 class CameraInstance:
-    """A camera in one arena; :attr:`photo` is its last frame."""
+    """A camera in one arena; :attr:`photo` is its last frame with the renderer's depth."""
 
     def __init__(self, sensor: Camera, world: ArenaWorld, view: ArenaView, rng: np.random.Generator) -> None:
         self.sensor, self.world, self.view, self.rng = sensor, world, view, rng
@@ -127,7 +128,7 @@ class CameraInstance:
         if sensor.artifacts is not None:
             self.dead = sensor.artifacts.draw_dead(sensor.size[1], rng)
 
-    def scan(self) -> Observation:
+    def scan(self) -> SensorScan:
         """Render a frame, estimate its depth, and lift objects if there is a lifter."""
         sensor = self.sensor
         pose = self.world.pose
@@ -145,7 +146,7 @@ class CameraInstance:
             ranges, cautious = fill_unseen(ranges, ranges if cautious is None else cautious)
         fed_by = np.full(ROBOT.columns, FED_BY.index("depth"), np.intp)
         if sensor.lifter is None:
-            return Observation(ranges, fed_by, frame, depth, cautious=cautious)
+            return SensorScan(ranges, fed_by, frame, depth, cautious=cautious)
         if sensor.detector is None:
             detections = simulated_detections(self.photo, self.world.arena)
         else:
@@ -154,7 +155,7 @@ class CameraInstance:
         faces = near_faces(boxes, detections, self.camera)
         by_box = (faces < ROBOT.far) & (ranges > faces * (1 - IN_FRONT))
         fed_by[by_box] = FED_BY.index("box")
-        return Observation(np.where(by_box, faces, ranges), fed_by, frame, depth, boxes, cautious)
+        return SensorScan(np.where(by_box, faces, ranges), fed_by, frame, depth, boxes, cautious)
 
     def _depth(self) -> np.ndarray:
         """The renderer's own depth ``(H, W)`` [m], exact or as a depth camera measures it."""
@@ -184,7 +185,8 @@ def near_faces(boxes: Boxes3D, detections: Detections2D, camera: PinholeCamera) 
 def footprints(boxes: Boxes3D) -> np.ndarray:
     """``(K, 5)`` center ahead of and left of the camera [m], yaw [rad], half length, half width [m]."""
     x, z, length, width, yaw = boxes.bev.T
-    # the length axis (cos, -sin) in x, z is (-sin, -cos) ahead and to the left
+    # the length axis (cos, -sin) in x, z is (-sin, -cos) ahead and to the left; the angle below points the
+    # other way along it, which is the same rectangle
     return np.stack([z, -x, np.pi / 2 - yaw, length / 2, width / 2], axis=1)
 
 
@@ -211,9 +213,9 @@ def depth_network(source: str | None) -> Callable[[np.ndarray], Any] | None:
 def camera(
     checkpoint: str | None = None,
     *,
-    size: tuple[int, int] = (96, 128),
+    size: tuple[int, int] = SIZE,
     light: float = 1.0,
-    drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+    drift: Drift | dict[str, float] = USUAL,
     latency: float = 0.0,
     pitch: float = 0.0,
 ) -> Camera:
@@ -228,10 +230,10 @@ def camera(
 
 def depth_camera(
     *,
-    size: tuple[int, int] = (96, 128),
+    size: tuple[int, int] = SIZE,
     light: float = 1.0,
     dead_columns: int = 1,
-    drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+    drift: Drift | dict[str, float] = USUAL,
     latency: float = 0.0,
 ) -> Camera:
     """An RGB-D camera: no network, but depth with :class:`StereoArtifacts`."""
@@ -245,9 +247,9 @@ def objects(
     detector: Detector | str | Path | None = None,
     method: Method = "refine",
     depth_sigma: float = 0.08,
-    size: tuple[int, int] = (96, 128),
+    size: tuple[int, int] = SIZE,
     light: float = 1.0,
-    drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+    drift: Drift | dict[str, float] = USUAL,
     latency: float = 0.0,
 ) -> Camera:
     """A camera with depth and the near faces of 3D boxes; see :class:`Camera` and :class:`BoxLifter`.

@@ -119,7 +119,7 @@ class ArenaNavVectorEnv(VectorEnv):
                 self._begin(slot)
             senses = self.episodes.sense(ended.tolist())
             observation[ended] = self.observer.observe(senses, ended)
-        scans = [self.episodes.observations[slot] for slot in range(self.num_envs)]
+        scans = [self.episodes.scans[slot] for slot in range(self.num_envs)]
         if scans[0].image is not None:
             info["fed_by"] = np.array([scan.sectors_fed_by for scan in scans])
         return observation, reward(progress, events), terminated, truncated, info
@@ -198,7 +198,7 @@ class ArenaNavEnv(gym.Env):
 
     @property
     def _fed_by(self) -> tuple[str, ...]:
-        return self.episodes.observations[0].sectors_fed_by
+        return self.episodes.scans[0].sectors_fed_by
 
     def render(self) -> np.ndarray | None:
         """Top view and camera view ``(H, W, 3)`` uint8 RGB; the trail starts at the first call."""

@@ -15,7 +15,7 @@ from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
-from eldenet.navigation.sensors import Observation, Odometry, Sensor, SensorInstance
+from eldenet.navigation.sensors import Odometry, Sensor, SensorInstance, SensorScan
 from eldenet.simulation.arena_mjcf import FRICTION
 from eldenet.simulation.arena_world import PHYSICS, ArenaWorld
 from eldenet.simulation.arenas import Arena
@@ -129,7 +129,7 @@ class Episodes:
 
     Attributes:
         worlds: of each slot, once it has started.
-        observations: last scan of each slot.
+        scans: last scan of each slot.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class Episodes:
         self._speeds = np.full(count, settings.robot_speed)
         self._latencies = np.full(count, sensor.latency)  # [s]
         self.worlds: dict[int, ArenaWorld] = {}
-        self.observations: dict[int, Observation] = {}
+        self.scans: dict[int, SensorScan] = {}
         self._sensors: dict[int, SensorInstance] = {}
         self._odometry: dict[int, Odometry] = {}
         self._filtered = settings.filters(sensor)
@@ -231,12 +231,12 @@ class Episodes:
                 if used:
                     ranges, cautious = part(scan.ranges, odometry, scan.cautious)
                     scan = scan._replace(ranges=ranges, cautious=cautious)
-            self.observations[slot] = scan
+            self.scans[slot] = scan
 
     def senses(self) -> Senses:
         """Ranges of the last scans, with odometry and goals as of now."""
         slots = range(self.count)
-        scans = [self.observations[slot] for slot in slots]
+        scans = [self.scans[slot] for slot in slots]
         ranges = np.stack([scan.ranges for scan in scans])
         told = any(scan.cautious is not None for scan in scans)  # by some alone: others see no unknown column
         cautious = [scan.ranges if scan.cautious is None else scan.cautious for scan in scans]

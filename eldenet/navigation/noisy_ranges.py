@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.navigation.range_errors import RangeErrors, segments
-from eldenet.navigation.sensors import Drift, Observation, Ranges, SensorInstance, SimulatedSensor
+from eldenet.navigation.sensors import USUAL, Drift, Ranges, SensorInstance, SensorScan, SimulatedSensor
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
@@ -50,7 +50,7 @@ class NoisyRanges(SimulatedSensor):
         memory: float = _DEFAULTS[3],
         errors: str | RangeErrors | None = None,
         share: float = 1.0,
-        drift: Drift | dict[str, float] = Drift(),  # noqa: B008 - immutable
+        drift: Drift | dict[str, float] = USUAL,
         latency: float = 0.0,
     ) -> None:
         super().__init__(drift=drift, latency=latency)
@@ -84,7 +84,7 @@ class _NoisyRanges:
         self.sensor, self.world, self.rng = sensor, world, rng
         self.scale = sensor.scale * rng.standard_normal()
 
-    def scan(self) -> Observation:
+    def scan(self) -> SensorScan:
         s, rng = self.sensor, self.rng
         self.scale = s.memory * self.scale + math.sqrt(1 - s.memory**2) * s.scale * rng.standard_normal()
         coarse = rng.standard_normal(ROBOT.columns // 4 + 2)
@@ -104,7 +104,7 @@ class _NoisyRanges:
             error = np.where(nothing, far_bias + far_spread * error, bias + spread * error)
             ranges = without_missed(ranges, s.errors, rng)
         wrong = ranges * np.exp(error)
-        return Observation(np.clip(wrong, ROBOT.near, ROBOT.far), np.zeros(ROBOT.columns, np.intp))
+        return SensorScan(np.clip(wrong, ROBOT.near, ROBOT.far), np.zeros(ROBOT.columns, np.intp))
 
 
 def without_missed(ranges: np.ndarray, errors: RangeErrors, rng: np.random.Generator) -> np.ndarray:

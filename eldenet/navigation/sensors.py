@@ -1,7 +1,6 @@
 """Interface of all sensors, the simulator's own ranges, and wheel odometry.
 
-A :class:`Sensor` starts a :class:`SensorInstance` for each episode, which returns an
-:class:`Observation` per scan.
+A :class:`Sensor` starts a :class:`SensorInstance` for each episode, which returns :class:`SensorScan`s.
 :mod:`eldenet.navigation.noisy_ranges` adds a network's errors to the ranges,
 :mod:`eldenet.navigation.cameras` runs the networks themselves.
 """
@@ -21,21 +20,21 @@ from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ALL_ROUND, ROBOT, front
 
 FED_BY = ("simulator", "depth", "box")
-LATENCY_STEP = 0.1  # [s]
+LATENCY_STEP = 0.1  # commands take effect at multiples of it [s]
 FULL_VIEW = round(math.degrees(ROBOT.field_of_view), 1)  # [degrees]
 BURST = 5  # scans in a row that are lost, in the mean
 
 
-class Observation(NamedTuple):
-    """Result of one scan.
+class SensorScan(NamedTuple):
+    """What a sensor measures at one time.
 
     Attributes:
         ranges: ``(columns,)`` [m]: the camera's, or a lidar's all round.
         fed_by: ``(columns,)`` source of each column's range, as an index into :data:`FED_BY`.
-        image: ``(H, W, 3)`` uint8 RGB, if there is a camera.
-        depth: ``(H, W)`` [m], if there is a network.
-        boxes: in the level camera frame, if there is a detector.
-        cautious: ``(columns,)`` [m] how near things may be, if the network predicts its sigma.
+        image: ``(H, W, 3)`` uint8 RGB, of a camera.
+        depth: ``(H, W)`` [m], of a camera: its network's, or without one the renderer's.
+        boxes: in the level camera frame, of a camera with a lifter.
+        cautious: ``(columns,)`` [m] how near things may be, 0 in columns out of view; None: as ``ranges``.
     """
 
     ranges: np.ndarray
@@ -61,7 +60,7 @@ class Observation(NamedTuple):
 class SensorInstance(Protocol):
     """A sensor in one episode; scans once per control period."""
 
-    def scan(self) -> Observation: ...  # noqa: D102
+    def scan(self) -> SensorScan: ...  # noqa: D102
 
 
 class Sensor(Protocol):
@@ -69,8 +68,8 @@ class Sensor(Protocol):
 
     Attributes:
         drift: of the odometry used with it.
-        latency: from a scan until the command that was decided on it takes effect [s], in steps of 0.1 s;
-            until then earlier commands last, and at the start the robot stands.
+        latency: from a scan until the command that was decided on it takes effect [s], a multiple of
+            :data:`LATENCY_STEP`; until then earlier commands last, and at the start the robot stands.
 
     A sensor whose single columns may be wrong says so by an attribute ``wrong_columns``.
     """
@@ -93,7 +92,7 @@ class Drift(NamedTuple):
     heading: float = math.radians(1.0)
 
 
-EXACT = Drift(0.0, 0.0)
+EXACT, USUAL = Drift(0.0, 0.0), Drift()
 
 
 class SimulatedSensor:
@@ -105,7 +104,7 @@ class SimulatedSensor:
 
     Raises:
         ValueError: a value of the drift is not a standard deviation, or the latency is out of range or not a
-            multiple of the step in which commands take effect.
+            multiple of :data:`LATENCY_STEP`.
     """
 
     def __init__(self, *, drift: Drift | Mapping[str, float] = EXACT, latency: float = 0.0) -> None:
@@ -186,22 +185,22 @@ class Ranges(SimulatedSensor):
                 raise ValueError(f"sensor.{name}={value}: give {low:g} to {high:g}")
         self.false_near, self.false_far, self.stuck = false_near, false_far, stuck
         self.factor, self.lost, self.view = factor, lost, view
-        self.columns = ROBOT if view <= FULL_VIEW else ALL_ROUND
+        self.layout = ROBOT if view <= FULL_VIEW else ALL_ROUND  # whose columns a scan has
         self.wrong_columns = bool(false_near or false_far or stuck)
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance:
         """Return an instance, which uses no random numbers without wrong readings."""
         wrong = self.wrong_columns or self.lost or self.factor != 1
-        sensor = _WrongRanges(self, world, rng) if wrong else _TrueRanges(self, world)
-        return sensor if self.view == FULL_VIEW else _NarrowView(sensor, self)
+        whole = _WrongRanges(self, world, rng) if wrong else _TrueRanges(self, world)
+        return whole if self.view == FULL_VIEW else _NarrowView(whole, self)
 
 
 class _TrueRanges:
     def __init__(self, sensor: Ranges, world: ArenaWorld) -> None:
-        self.view, self.world = sensor.columns, world
+        self.layout, self.world = sensor.layout, world
 
-    def scan(self) -> Observation:
-        return Observation(self.world.ranges(self.view), np.zeros(self.view.columns, np.intp))
+    def scan(self) -> SensorScan:
+        return SensorScan(self.world.ranges(self.layout), np.zeros(self.layout.columns, np.intp))
 
 
 class Centers(SimulatedSensor):
@@ -223,7 +222,7 @@ class _TrueCenters:
     def __init__(self, world: ArenaWorld) -> None:
         self.world = world
 
-    def scan(self) -> Observation:
+    def scan(self) -> SensorScan:
         ranges = np.full(ROBOT.columns, ROBOT.far)
         x, y, _ = ROBOT.camera_center(self.world.pose)
         dx, dy = (self.world.centers() - (x, y)).T
@@ -232,43 +231,43 @@ class _TrueCenters:
         column = (bearing / ROBOT.field_of_view + 0.5) * ROBOT.columns
         column = np.clip(column, 0, ROBOT.columns - 1).astype(np.intp)
         np.minimum.at(ranges, column, np.hypot(dx, dy))
-        return Observation(np.maximum(ranges, ROBOT.near), np.zeros(ROBOT.columns, np.intp))
+        return SensorScan(np.maximum(ranges, ROBOT.near), np.zeros(ROBOT.columns, np.intp))
 
 
 class _NarrowView:
-    def __init__(self, sensor: SensorInstance, of: Ranges) -> None:
-        self.sensor = sensor
-        self.unseen = np.abs(of.columns.column_angles) > math.radians(of.view) / 2
+    def __init__(self, whole: SensorInstance, sensor: Ranges) -> None:
+        self.whole = whole
+        self.unseen = np.abs(sensor.layout.column_angles) > math.radians(sensor.view) / 2
 
-    def scan(self) -> Observation:
-        seen = self.sensor.scan()
-        return seen._replace(
-            ranges=np.where(self.unseen, ROBOT.far, seen.ranges),
-            cautious=np.where(self.unseen, 0.0, seen.ranges),
+    def scan(self) -> SensorScan:
+        scan = self.whole.scan()
+        return scan._replace(
+            ranges=np.where(self.unseen, ROBOT.far, scan.ranges),
+            cautious=np.where(self.unseen, 0.0, scan.ranges),
         )
 
 
 class _WrongRanges:
     def __init__(self, sensor: Ranges, world: ArenaWorld, rng: np.random.Generator) -> None:
         self.sensor, self.world, self.rng = sensor, world, rng
-        self.view = sensor.columns
-        self.stuck = rng.permutation(self.view.columns)[: sensor.stuck]
+        self.layout = sensor.layout
+        self.stuck = rng.permutation(self.layout.columns)[: sensor.stuck]
         self.last: np.ndarray | None = None
         self.losing = False
 
-    def scan(self) -> Observation:
+    def scan(self) -> SensorScan:
         if self.sensor.lost and self.last is not None:
             self.losing = self.rng.random() < self._chance_to_lose()
             if self.losing:
-                return Observation(self.last.copy(), np.zeros(self.view.columns, np.intp))
-        ranges, chance = self.world.ranges(self.view), self.rng.random(self.view.columns)
+                return SensorScan(self.last.copy(), np.zeros(self.layout.columns, np.intp))
+        ranges, chance = self.world.ranges(self.layout), self.rng.random(self.layout.columns)
         hit = ranges < ROBOT.far
-        ranges[hit] = np.clip(self.sensor.factor * ranges[hit], self.view.near, ROBOT.far)
+        ranges[hit] = np.clip(self.sensor.factor * ranges[hit], self.layout.near, ROBOT.far)
         ranges[chance < self.sensor.false_near] = ROBOT.near
         ranges[chance > 1 - self.sensor.false_far] = ROBOT.far
         ranges[self.stuck] = ROBOT.near
         self.last = ranges
-        return Observation(ranges.copy(), np.zeros(self.view.columns, np.intp))
+        return SensorScan(ranges.copy(), np.zeros(self.layout.columns, np.intp))
 
     def _chance_to_lose(self) -> float:
         """Of the next scan: a burst goes on, or a new one begins as often as the share asks for."""

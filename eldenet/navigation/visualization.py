@@ -14,7 +14,7 @@ from eldenet.geometry import PinholeCamera
 from eldenet.navigation.episodes import GOAL_RADIUS, Episodes, EpisodeSettings, Event
 from eldenet.navigation.evaluation import Policy
 from eldenet.navigation.observer import SECTORS
-from eldenet.navigation.sensors import Observation, Sensor
+from eldenet.navigation.sensors import Sensor, SensorScan
 from eldenet.perception.drawing import draw_boxes
 from eldenet.simulation.arena_view import ArenaView, robot_intrinsics
 from eldenet.simulation.arenas import Arena
@@ -98,7 +98,7 @@ class Scene:
         for x, y in self.arena.waypoints:
             cv2.circle(picture, self.pixel(x, y), round(GOAL_RADIUS * self.scale), _GOAL, 2, cv2.LINE_AA)
         x, y, yaw = (float(value) for value in episodes.poses[slot])
-        scan = episodes.observations[slot]
+        scan = episodes.scans[slot]
         camera = (x + ROBOT.camera_ahead * math.cos(yaw), y + ROBOT.camera_ahead * math.sin(yaw))
 
         def seen(angle: float, distance: float) -> tuple[int, int]:
@@ -147,7 +147,7 @@ class Scene:
         top = self.top_view(episodes, slot)
         self._scale_bar(top)
         _label(top, "map")
-        scan = episodes.observations[slot]
+        scan = episodes.scans[slot]
         if scan.image is None and view is not None:
             photo = view.photo(tuple(episodes.poses[slot]), episodes.worlds[slot].time)
             scan = scan._replace(image=photo.image, depth=photo.depth)
@@ -179,7 +179,7 @@ def _scale(depth: np.ndarray) -> None:
         cv2.putText(depth, text, (column, low), _FONT, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
 
 
-def camera_panels(scan: Observation, size: int) -> np.ndarray:
+def camera_panels(scan: SensorScan, size: int) -> np.ndarray:
     """Photo, depth and sector bars, one below the other ``(size, 2 / 5 * size * 4 / 3, 3)`` uint8 RGB."""
     height = size * 2 // 5
     width = height * 4 // 3
@@ -198,7 +198,7 @@ def camera_panels(scan: Observation, size: int) -> np.ndarray:
     return np.concatenate([photo, depth, sector_bars(scan, (size - 2 * height, width))], axis=0)
 
 
-def sector_bars(scan: Observation, size: tuple[int, int]) -> np.ndarray:
+def sector_bars(scan: SensorScan, size: tuple[int, int]) -> np.ndarray:
     """Nearest range [m] and its source per sector, as the camera sees them: ``(*size, 3)`` uint8 RGB."""
     height, width = size
     picture: np.ndarray = np.full((height, width, 3), 255, np.uint8)

@@ -40,7 +40,7 @@ def main() -> None:
         while event == 0:
             senses = episodes.sense()
             if period % EVERY == 0:
-                seen = episodes.observations[0]
+                seen = episodes.scans[0]
                 millimeters = np.round(np.minimum(seen.depth, ROBOT.far) * 1000).astype(np.uint16)
                 millimeters[seen.depth > ROBOT.far] = 0  # beyond the camera's reach
                 write_picture(args.folder / f"images/{count:04d}.png", seen.image)

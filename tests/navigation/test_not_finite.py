@@ -13,7 +13,7 @@ from eldenet.navigation.observer import Observer, Senses
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.qnetwork import QNetwork
 from eldenet.navigation.ranges import depth_to_ranges, footprints_to_ranges
-from eldenet.navigation.sensors import EXACT, Observation, Ranges
+from eldenet.navigation.sensors import EXACT, Ranges, SensorScan
 from eldenet.simulation.arenas import generate_arena
 from eldenet.simulation.robot import ROBOT
 
@@ -142,9 +142,9 @@ class Broken:
         self.scans = 0
         return self
 
-    def scan(self) -> Observation:
+    def scan(self) -> SensorScan:
         self.scans += 1
-        return Observation(np.full(ROBOT.columns, NAN if self.scans > 1 else 5.0), np.zeros(40, np.intp))
+        return SensorScan(np.full(ROBOT.columns, NAN if self.scans > 1 else 5.0), np.zeros(40, np.intp))
 
 
 def test_the_environment_ends_where_a_sensor_or_a_command_is_not_finite() -> None:

@@ -12,7 +12,7 @@ from eldenet.navigation.episodes import Episodes, EpisodeSettings
 from eldenet.navigation.noisy_ranges import NoisyRanges
 from eldenet.navigation.policy import Navigator
 from eldenet.navigation.range_filter import WIDEST_GAP, RangeFilter, fill_gaps
-from eldenet.navigation.sensors import BURST, EXACT, Observation, Ranges
+from eldenet.navigation.sensors import BURST, EXACT, Ranges, SensorScan
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.arenas import generate_arena
 from eldenet.simulation.robot import ROBOT
@@ -145,8 +145,8 @@ class Blinking:
     def begin(self, world, rng):
         return self
 
-    def scan(self) -> Observation:
-        return Observation(wall(c30=NAN), np.zeros(ROBOT.columns, np.intp))
+    def scan(self) -> SensorScan:
+        return SensorScan(wall(c30=NAN), np.zeros(ROBOT.columns, np.intp))
 
 
 def test_any_driver_gets_filtered_ranges_by_a_setting_of_the_episode():
