@@ -11,23 +11,26 @@ from enum import IntEnum
 
 import numpy as np
 
+from eldenet.navigation.latency import MAX_LATENCY
 from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
-from eldenet.navigation.sensors import Odometry, Sensor, SensorInstance, SensorScan
+from eldenet.navigation.sensors import LATENCY_STEP, Odometry, Sensor, SensorInstance, SensorScan
 from eldenet.simulation.arena_mjcf import FRICTION
 from eldenet.simulation.arena_world import PHYSICS, ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
 
-SUBSTEPS = 2  # contact checks per control period: at most 10 cm apart
+#: Parts of a control period: at their ends commands take effect, and kinematic robots check for contact.
+SUBSTEPS = round(ROBOT.period / LATENCY_STEP)
 GOAL_RADIUS = 0.5  # [m]
 TIME_LIMIT = 60.0  # [s]
 GOALS = ("known", "fixes", "odometry")
 FIX_EVERY = 5  # control periods between two positions for goal="fixes"
 FIX_DEVIATION = 0.15  # standard deviation of their x and y [m]
+SIZES, SPEEDS = (0.5, 1.5), (0.5, 2.0)  # limits, relative to ROBOT; BARN's robots drive at up to 2 m/s
 
 
 class Event(IntEnum):
@@ -79,7 +82,7 @@ class EpisodeSettings:
         one_of("goal", self.goal, GOALS)
         if not 0 < self.time_limit < math.inf:
             raise ValueError(f"time_limit={self.time_limit}: give a finite number of seconds above 0")
-        for name, low, high in (("size", 0.5, 1.5), ("speed", 0.5, 2.0), ("friction", 0.05, 2.0)):
+        for name, (low, high) in {"size": SIZES, "speed": SPEEDS, "friction": (0.05, 2.0)}.items():
             value = getattr(self, f"robot_{name}")
             if not low <= value <= high:
                 raise ValueError(f"robot.{name}={value}: give {low} to {high}")
@@ -101,7 +104,7 @@ class Randomization:
     Attributes:
         size: of the footprint, times ``settings.robot_size``; drawn for each arena.
         speed: that the robot reaches, times ``settings.robot_speed``.
-        latency: added to the sensor's [s].
+        latency: added to the sensor's [s]; the sum is rounded up to :data:`LATENCY_STEP`.
 
     Raises:
         ValueError: a range is out of its limits or not in order.
@@ -112,7 +115,7 @@ class Randomization:
     latency: Sequence[float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        limits = {"size": (0.5, 1.5), "speed": (0.5, 1.5), "latency": (0.0, 1.0)}
+        limits = {"size": SIZES, "speed": SPEEDS, "latency": (0.0, MAX_LATENCY)}
         for name, (low, high) in limits.items():
             ends = getattr(self, name)
             if len(ends) != 2 or not low <= ends[0] <= ends[1] <= high:
@@ -130,6 +133,8 @@ class Episodes:
     Attributes:
         worlds: of each slot, once it has started.
         scans: last scan of each slot.
+        poses: true x, y [m] and heading [rad] of each robot ``(N, 3)``.
+        travelled: way that each robot has driven ``(N,)`` [m].
     """
 
     def __init__(
@@ -152,10 +157,10 @@ class Episodes:
         self._scales = [RangeScale() for _ in range(count)]
         self._localizers: dict[int, Localizer] = {}  # for goal="fixes" only
         self._rngs: dict[int, np.random.Generator] = {}
-        self.poses = np.zeros((count, 3))  # true ones
-        self.travelled = np.zeros(count)  # [m]
+        self.poses = np.zeros((count, 3))
+        self.travelled = np.zeros(count)
         self._commands: list[list[tuple[float, float]]] = [[] for _ in range(count)]  # since the start
-        self._waypoint = np.zeros(count, np.intp)
+        self._reached = np.zeros(count, np.intp)  # way-points so far
         self._steps = np.zeros(count, np.intp)
 
     def start(self, slot: int, arena: Arena, seed: Sequence[int]) -> None:
@@ -169,7 +174,7 @@ class Episodes:
             and world.arena.name == arena.name
             and world.arena.obstacles == arena.obstacles
             and world.arena.side == arena.side
-        ):  # the robot keeps its size: another one needs a new world, which takes longer than the episode
+        ):  # keep the world, and so the robot's size: building one takes longer than an episode
             world.arena = arena
             world.place(arena.start)
         else:
@@ -188,7 +193,7 @@ class Episodes:
         self.poses[slot] = world.pose
         self.travelled[slot] = 0.0
         self._commands[slot] = []
-        self._waypoint[slot] = self._steps[slot] = 0
+        self._reached[slot] = self._steps[slot] = 0
 
     def _randomize(self, slot: int, rng: np.random.Generator) -> float:
         """Draw a slot's speed and latency, and return the size of its robot."""
@@ -205,9 +210,9 @@ class Episodes:
         """Time since the start in each slot ``(N,)`` [s]."""
         return self._steps * ROBOT.period
 
-    def goal(self, slot: int) -> tuple[float, float]:
+    def waypoint(self, slot: int) -> tuple[float, float]:
         """Next way-point of a slot in the world frame [m]."""
-        return self.worlds[slot].arena.waypoints[self._waypoint[slot]]
+        return self.worlds[slot].arena.waypoints[self._reached[slot]]
 
     def goals(self) -> np.ndarray:
         """True distance [m] and bearing [rad] of each slot's next way-point ``(N, 2)``."""
@@ -215,7 +220,7 @@ class Episodes:
 
     def _goals_from(self, poses: np.ndarray) -> np.ndarray:
         """As :meth:`goals`, from other poses ``(N, 3)``."""
-        points = np.array([self.goal(slot) for slot in range(self.count)])
+        points = np.array([self.waypoint(slot) for slot in range(self.count)])
         dx, dy = (points - poses[:, :2]).T
         bearing = np.arctan2(dy, dx) - poses[:, 2]
         return np.stack([np.hypot(dx, dy), np.arctan2(np.sin(bearing), np.cos(bearing))], axis=1)
@@ -238,12 +243,12 @@ class Episodes:
         slots = range(self.count)
         scans = [self.scans[slot] for slot in slots]
         ranges = np.stack([scan.ranges for scan in scans])
-        told = any(scan.cautious is not None for scan in scans)  # by some alone: others see no unknown column
+        told = any(scan.cautious is not None for scan in scans)
         cautious = [scan.ranges if scan.cautious is None else scan.cautious for scan in scans]
         odometry = np.array([self._odometry[slot].pose for slot in slots])
         if self.settings.goal == "fixes":
             odometry = np.array([self._localizers[slot].odometry for slot in slots])
-            goals = np.array([self._localizers[slot].towards(*self.goal(slot)) for slot in slots])
+            goals = np.array([self._localizers[slot].towards(*self.waypoint(slot)) for slot in slots])
         else:
             goals = self._goals_from(odometry if self.settings.goal == "odometry" else self.poses)
         return Senses(ranges, odometry, goals, np.stack(cautious) if told else None)
@@ -260,7 +265,7 @@ class Episodes:
             Progress toward the way-point ``(N,)`` [m] and :class:`Event` ``(N,)``.
 
         Raises:
-            ValueError: a command is not finite; its robot does not move.
+            ValueError: a command is not finite; its robot and those after it do not move.
         """
         progress, events = np.zeros(self.count), np.zeros(self.count, np.intp)
         for slot in range(self.count) if slots is None else slots:
@@ -272,33 +277,33 @@ class Episodes:
         return progress, events
 
     def _command(self, slot: int, substep: int) -> tuple[float, float]:
-        """Command that takes effect in a part of the current period: it is as old as the sensor's latency."""
-        late = math.ceil((self._latencies[slot] - substep * ROBOT.period / SUBSTEPS) / ROBOT.period - 1e-9)
+        """Command executed in a part of the current period: the newest that is as old as the latency."""
+        late = math.ceil((self._latencies[slot] - substep * LATENCY_STEP) / ROBOT.period - 1e-9)
         number = len(self._commands[slot]) - 1 - max(late, 0)
         speed, turn = self._commands[slot][number] if number >= 0 else (0.0, 0.0)
         return speed * float(self._speeds[slot]), turn * float(self._speeds[slot])
 
     def _drive(self, slot: int) -> tuple[float, Event]:
         """Drive one robot for one period; progress is toward the way-point at its start."""
-        world, goal = self.worlds[slot], self.goal(slot)
-        distance = before = math.dist(self.poses[slot, :2], goal)
+        world, waypoint = self.worlds[slot], self.waypoint(slot)
+        distance = before = math.dist(self.poses[slot, :2], waypoint)
         event = Event.NONE
         self._steps[slot] += 1
         for substep in range(SUBSTEPS):
             last = world.pose
-            collided = world.advance(*self._command(slot, substep), ROBOT.period / SUBSTEPS)
+            collided = world.advance(*self._command(slot, substep), LATENCY_STEP)
             pose = world.pose
             self.travelled[slot] += math.dist(last[:2], pose[:2])
             self._odometry[slot].move(last, pose)
-            distance = math.dist(pose[:2], goal)
+            distance = math.dist(pose[:2], waypoint)
             if collided:
                 event = Event.COLLISION
                 break
-            if math.dist(pose[:2], self.goal(slot)) < GOAL_RADIUS:
-                if self._waypoint[slot] + 1 == len(world.arena.waypoints):
+            if math.dist(pose[:2], self.waypoint(slot)) < GOAL_RADIUS:
+                if self._reached[slot] + 1 == len(world.arena.waypoints):
                     event = Event.GOAL
                     break
-                self._waypoint[slot] += 1  # the period continues toward the next one
+                self._reached[slot] += 1  # the period continues toward the next one
         self.poses[slot] = world.pose
         if self.settings.goal == "fixes":
             self._localize(slot)

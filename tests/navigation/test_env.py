@@ -135,8 +135,8 @@ def test_way_points_are_reached_in_order():
     reached = []
     for _ in range(400):
         _, events = episodes.step(policy.commands(episodes.sense()))
-        if not reached or reached[-1] != episodes.goal(0):
-            reached.append(episodes.goal(0))
+        if not reached or reached[-1] != episodes.waypoint(0):
+            reached.append(episodes.waypoint(0))
         if events[0]:
             break
     assert Event(int(events[0])) is Event.GOAL
