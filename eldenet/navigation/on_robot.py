@@ -22,8 +22,8 @@ from eldenet.simulation.robot import ROBOT, front
 from eldenet.system.errors import warn_once
 from eldenet.uncertainty import DepthEstimate
 
-MOST_UNSURE = 0.85  # of a depth map: a robot that sees less stands still
-TURN = 2 * math.pi + 1e-6  # [rad], but for rounding
+MOST_UNSURE = 0.85  # share of a depth map that may be unsure; with more, the robot stands still
+TURN = 2 * math.pi + 1e-6  # [rad], and its rounding
 FLOOR_FROM = 1.4  # [m] before the lens: a picture should show the floor from here on at the latest
 SENT = round(MAX_LATENCY / ROBOT.period) + 1  # commands that are kept
 POSE, GOAL = ("x", "y", "heading"), ("distance", "bearing")
@@ -100,8 +100,8 @@ class OnRobot:
         A depth map that comes twice counts as two scans that agree.
 
         At the goal, with input that is not finite or cannot be true, or where :attr:`watch` finds a fault, it
-        stops the robot, remembers nothing, and says why in :attr:`stop_reason`; it drives on as soon as that
-        is over.
+        stops the robot and says why in :attr:`stop_reason`; it drives on as soon as that is over. The driver
+        remembers nothing of such a period, unless the fault is that it finds no way.
 
         Args:
             depth: depth map ``(H, W)`` [m], with ``intrinsics``; or a lidar's
@@ -125,8 +125,10 @@ class OnRobot:
             max_speed: a faster command is slowed down on the same arc [m/s].
 
         Returns:
-            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) where it stops. Single unknown
-            values (0, nan) of ``depth`` read as near, and inf as free.
+            Speed [m/s] and turn rate [rad/s, counter-clockwise]; (0.0, 0.0) where it stops. Unknown ranges
+            or sectors (0, nan) read as near, and inf as free; of a depth map and a scan, see
+            :func:`~eldenet.navigation.ranges.depth_to_ranges` and
+            :func:`~eldenet.navigation.lidar.scan_to_ranges`.
 
         Raises:
             ValueError: an argument is no number or has no numbers, ``depth`` or ``image`` has another shape,
@@ -158,7 +160,7 @@ class OnRobot:
                     f"image has type {image.dtype} and shape {image.shape}: give the camera's frame (H, W, "
                     "3) uint8 RGB"
                 )
-        now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)
+        now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)  # (1, 3), (1, 2)
         check_bearing(goal_row[0, 1], now[0, 2])
         then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
         matrix = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
@@ -230,7 +232,15 @@ def unfit(
     goal: np.ndarray,
     scanned_from: np.ndarray | None,
 ) -> str | None:
-    """Why nothing can be decided by these, each as :meth:`OnRobot.step` has it in rows; None: it can."""
+    """Why nothing can be decided by these; None: it can.
+
+    Args:
+        depth: as in :meth:`OnRobot.step`, ranges of a scan.
+        intrinsics: ``(3, 3)`` [px].
+        odometry: ``(1, 3)`` x, y [m], heading [rad].
+        goal: ``(1, 2)`` distance [m], bearing [rad].
+        scanned_from: ``(1, 3)``, as ``odometry``.
+    """
     if intrinsics is not None and not np.isfinite(intrinsics).all():
         return "intrinsics not finite"
     if depth.size and not ((depth > 0) | np.isneginf(depth)).any():

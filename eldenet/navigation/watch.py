@@ -31,14 +31,15 @@ SLIPS = 5  # periods in a row in which the view stays though it cannot: a camera
 STANDS = 0.001  # motion of a pose that stands [m], [rad]
 LAG = 1.0  # time for which a robot that is told to drive may stand, beyond the latency [s]
 TOLD, TOLD_TURN = 0.1, 0.2  # what it was told meanwhile, at least [m], [rad]
-COMPARED, FEWEST = 25, 6  # periods in which it was told to drive that are compared with the odometry
+SLOWEST, SLOWEST_TURN = 0.1, 0.2  # commands below both are not compared with the odometry [m/s], [rad/s]
+COMPARED, FEWEST = 25, 6  # last periods with such commands; fewest of them to judge by
 OTHER_UNIT = 10.0  # factor between told and measured motion
 SLUGGISH = 6  # periods by which wheels that slip, or a latency that nobody told, delay a turn
 TOLD_FAR, OPPOSITE, AGREES = 2.0, -0.7, 0.3  # turns that were told [rad]; correlations with those measured
 ALONG = 0.5  # of the way: a robot that drives moves at least so much along its heading
 TILT = math.radians(4.0)  # by which the floor may be off its level [rad]
 SCALE = 1.25  # factor by which the floor may be off its height
-FLOORS = 5  # floors that must agree; the median counts
+FLOORS = 5  # last floors, whose median counts
 STUCK_WAY, STUCK_TIME = 0.3, 30.0  # a robot that stays within a way [m] for a time [s] is stuck
 NEARER = 0.5  # progress toward the goal that counts [m]
 
@@ -48,8 +49,8 @@ class Look(NamedTuple):
 
     Attributes:
         depth: as given, of any shape [m].
-        ranges: ``(columns,)`` of it [m].
-        measured: the same without those of holes in a depth map, which are far [m].
+        ranges: ``(columns,)`` of it, the camera's [m].
+        measured: the same where holes in a depth map count as far [m].
         pose: ``(3,)`` x, y [m] and heading [rad] of the odometry.
         image: ``(H, W, 3)`` uint8 that the depth was predicted from; None: unknown.
         camera: of a depth map, in the level frame; None: ranges.
@@ -92,7 +93,7 @@ class Watch:
         patience: way that it may drive without coming nearer to its goal [m].
 
     Attributes:
-        tolerance: distance at which a goal is reached [m].
+        tolerance: distance below which a goal is reached [m].
         clock: what ``stamp`` is compared with [s].
     """
 
@@ -109,18 +110,19 @@ class Watch:
         self._still: tuple[Look, np.ndarray | None] | None = None  # the first look with the present view
         self._stood: np.ndarray | None = None  # where the odometry stands
         self._told = np.zeros(3)  # way [m], turn [rad] and time [s] that it was told to drive since
-        self._last: np.ndarray | None = None  # pose one period ago
+        self._last: np.ndarray | None = None  # pose one period ago, for contrary_odometry
         self._moves: deque[Move] = deque(maxlen=COMPARED)
         self._contrary: str | None = None
         self._floors: deque[Floor] = deque(maxlen=FLOORS)
         self._nearest = math.inf
         self._goal = np.full(2, math.nan)
         self._way = 0.0  # since the goal was nearest [m]
-        self._before: np.ndarray | None = None
+        self._before: np.ndarray | None = None  # pose one period ago, for lost
         self._places: deque[np.ndarray] = deque(maxlen=round(STUCK_TIME / ROBOT.period))
 
     def judge(self, look: Look, sent: Sequence[tuple[float, float]]) -> str | None:
         """Why the robot must stand; None if nothing is wrong. ``sent`` are its commands, oldest first."""
+        # all of them, whatever the first says: each remembers what it sees
         rules = (
             self.covered(look),
             self.frozen_camera(look),
@@ -168,7 +170,7 @@ class Watch:
         return "the picture does not change while the wheels turn: a frozen camera"
 
     def frozen_odometry(self, look: Look, sent: Sequence[tuple[float, float]]) -> str | None:
-        """Odometry that stands though the robot is told to drive; it moves again, or :meth:`reset`."""
+        """Odometry that stands though the robot is told to drive, until it moves again or :meth:`reset`."""
         if self._stood is None or max(motion(self._stood, look.pose)) > STANDS:
             self._stood, self._told = look.pose, np.zeros(3)
             return None
@@ -184,10 +186,11 @@ class Watch:
         )
 
     def contrary_odometry(self, look: Look, sent: Sequence[tuple[float, float]]) -> str | None:
-        """Odometry that moves otherwise than the robot was told: a sign, order or unit; :meth:`reset`."""
+        """Odometry that contradicts the commands, by a sign, order or unit, until :meth:`reset`."""
         before, self._last = self._last, look.pose
         speed, turn = _executed(look, sent)
-        if self._contrary is None and before is not None and (abs(speed) >= TOLD or abs(turn) >= TOLD_TURN):
+        drives = abs(speed) >= SLOWEST or abs(turn) >= SLOWEST_TURN
+        if self._contrary is None and before is not None and drives:
             dx, dy, turned = look.pose - before
             middle = before[2] + math.remainder(turned, math.tau) / 2
             ahead = math.copysign(1.0, speed) * (dx * math.cos(middle) + dy * math.sin(middle))
@@ -279,7 +282,7 @@ def contradiction(moves: Sequence[Move]) -> str | None:
     wrapped = np.abs(np.abs(turned) - math.tau) < 0.5  # from pi to -pi
     turned = np.where(wrapped, turned - np.copysign(math.tau, turned), turned)
     after = "; reset() once that is mended"
-    driven = (told >= TOLD * ROBOT.period) & (way > TOLD * ROBOT.period)
+    driven = (told >= SLOWEST * ROBOT.period) & (way > SLOWEST * ROBOT.period)
     if driven.sum() >= FEWEST:
         if (factor := np.median(way[driven] / told[driven])) > OTHER_UNIT:
             return f"the odometry moves {factor:.0f} times as far as the robot was told: give meters{after}"
@@ -289,7 +292,7 @@ def contradiction(moves: Sequence[Move]) -> str | None:
                 f"the odometry moves {angle:.0f} degrees off its heading: give x, y [m], heading [rad] in "
                 f"this order, heading 0 along x, counter-clockwise toward y{after}"
             )
-    turning = np.abs(told_turn) >= TOLD_TURN * ROBOT.period
+    turning = np.abs(told_turn) >= SLOWEST_TURN * ROBOT.period
     factor = np.median(np.abs(turned[turning] / told_turn[turning])) if turning.sum() >= FEWEST else 0.0
     if factor > OTHER_UNIT:
         return f"the odometry turns {factor:.0f} times as far as the robot was told: give radians{after}"
