@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from eldenet.navigation.pedestrian_tracking import AHEAD, MAX_MARKED, PedestrianTracker, marks
+from eldenet.navigation.pedestrian_tracking import MAX_MARKS, PedestrianTracker, marks
 from eldenet.simulation.robot import ROBOT, view_of
 
 MEMORY_REACH = 3.0  # distance up to which points are returned [m]
@@ -39,11 +39,10 @@ class Memory:
         self._make_room(robots, ROBOT.columns)
         self._scans = np.zeros(robots, np.intp)  # scans so far
         self._walkers = [PedestrianTracker() for _ in range(robots)] if walkers else []
-        marked = MAX_MARKED * len(AHEAD) * 8 if walkers else 0
-        self._marks = np.full((robots, marked, 2), _NOWHERE, np.float32)
+        self._marks = np.full((robots, MAX_MARKS if walkers else 0, 2), _NOWHERE, np.float32)
 
     def _make_room(self, robots: int, columns: int) -> None:
-        """Forget all points; keep those of scans with so many columns."""
+        """Forget all points, and make room for those of scans with so many columns."""
         self._points = np.full((robots, self._periods // 2 + 1, columns, 2), _NOWHERE, np.float32)
         self._doubts = np.zeros(self._points.shape[:3], np.uint8)  # scans that saw through a point so far
 
@@ -59,7 +58,9 @@ class Memory:
     def add(
         self, who: np.ndarray, ranges: np.ndarray, odometry: np.ndarray, cautious: np.ndarray | None = None
     ) -> None:
-        """Store scans in place of the oldest ones or the last odd one, and forget points they see through.
+        """Forget points that scans see through, then store the scans.
+
+        Each pair of scans shares a place: the second replaces the first, and the next pair the oldest.
 
         Args:
             who: numbers of the scanning robots ``(K,)``.

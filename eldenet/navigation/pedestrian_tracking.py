@@ -18,11 +18,12 @@ ALPHA, BETA = 0.5, 0.25  # gains of position and velocity
 MIN_SPEED = 0.15  # of a moving track [m/s]
 MIN_HITS = 4  # scans before a track can count as moving
 MAX_AGE = 20  # scans without its segment after which a track is dropped
-AHEAD = (0.0, 0.5, 1.0, 1.5, 2.0)  # times at which future positions are marked [s]
+AHEAD = (0.0, 0.5, 1.0, 1.5, 2.0)  # until the positions that are marked [s]
 RADIUS = 0.25  # of a pedestrian [m]
 DEPTH_STEP = 0.3  # least range step between two segments, or a tenth of the range [m]
 MAX_MARKED = 8  # pedestrians
 _CIRCLE = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1) * RADIUS
+MAX_MARKS = MAX_MARKED * len(AHEAD) * len(_CIRCLE)  # points that :func:`marks` returns at most
 
 
 @dataclass
@@ -31,21 +32,21 @@ class Track:
 
     Attributes:
         position: of the center of its visible face ``(2,)`` [m].
-        velocity: ``(2,)`` [m/s].
         began: first position ``(2,)`` [m].
+        columns: of its segment in the last scan; empty if that missed it.
+        velocity: ``(2,)`` [m/s].
         hits: number of scans that saw it.
         missed: scans since the last of them.
         moving: whether it moves.
-        columns: of its segment in the last scan.
     """
 
     position: np.ndarray
+    began: np.ndarray
+    columns: slice
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    began: np.ndarray = field(default_factory=lambda: np.zeros(2))
     hits: int = 1
     missed: int = 0
     moving: bool = False
-    columns: slice = field(default_factory=lambda: slice(0))
 
 
 class PedestrianTracker:
@@ -72,7 +73,7 @@ class PedestrianTracker:
             if away and min(away) < MAX_DISTANCE:
                 _correct(free[int(np.argmin(away))], middle, columns)
             else:
-                self.tracks.append(Track(middle, began=middle, columns=columns))
+                self.tracks.append(Track(middle, middle, columns))
         self.tracks = [track for track in self.tracks if track.missed <= MAX_AGE]
         return [track for track in self.tracks if track.moving]
 
@@ -89,7 +90,7 @@ def _correct(track: Track, middle: np.ndarray, columns: slice) -> None:
 
 
 def slim_segments(points: np.ndarray, ranges: np.ndarray) -> list[slice]:
-    """Return the columns of each segment that is at most :data:`MAX_WIDTH` wide and fully in view.
+    """Return the columns of each segment narrower than :data:`MAX_WIDTH`, near enough and fully in view.
 
     ``points (columns, 2)`` and ``ranges (columns,)`` are those of a scan [m].
     """
@@ -103,9 +104,10 @@ def slim_segments(points: np.ndarray, ranges: np.ndarray) -> list[slice]:
 
 
 def marks(tracks: list[Track], camera: np.ndarray) -> np.ndarray:
-    """Return points ``(M, 2)`` [m] around the positions of the nearest pedestrians in the next two seconds.
+    """Return points ``(M, 2)`` [m] around where the nearest pedestrians are and will be, at times ``AHEAD``.
 
     Args:
+        tracks: of pedestrians, those that move.
         camera: position of the camera ``(2,)``; an object's center lies behind its visible face.
     """
     near = sorted(tracks, key=lambda track: float(np.hypot(*(track.position - camera))))[:MAX_MARKED]
