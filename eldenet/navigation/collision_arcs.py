@@ -1,8 +1,8 @@
 """Collision times along arcs, from tables: when does the footprint reach a point on the floor?
 
 A robot with constant speed and turn rate drives along an arc. For every command and every 5 cm cell around
-the robot, a table has the time at which the footprint reaches the cell's center, and the clearance along the
-arc. A lookup is a hundred times cheaper than moving rectangles; its error is half a cell.
+the robot, a table has the time until which the footprint is free of the cell's center, and the clearance
+along the arc. A lookup is a hundred times cheaper than moving rectangles; its error is half a cell.
 """
 
 import functools
@@ -27,9 +27,11 @@ class ArcTable:
         margin: added to the footprint on all sides [m].
 
     Attributes:
-        time: ``(cells, K)`` uint8 first pose (every 0.1 s) that hits the cell, ``count`` if none.
-        gap: ``(cells, K)`` uint8 least distance between footprint and cell along the arc [cm], at most 255.
-        count: number of poses.
+        time: ``(cells, K)`` uint8 number of poses (every :data:`STEP`) before the first that hits the cell;
+            ``count`` if none hits it, or it is under the robot at the start.
+        gap: ``(cells, K)`` uint8 least distance between footprint and cell along the arc [cm], at most 255,
+            as where the cell is under the robot at the start.
+        count: number of poses; the first is one :data:`STEP` after the start.
     """
 
     def __init__(

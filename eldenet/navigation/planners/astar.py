@@ -14,6 +14,8 @@ from eldenet.simulation.robot import ROBOT, view_of
 
 CARROT = 1.6  # distance to the target along the path [m]; experiments/table6_time/carrots.md
 REPLAN_EVERY = 5  # control periods, on a map built while driving
+OTHER_GOAL = 0.1  # a goal that moves by more is another way-point [m]
+_FINE = 0.05  # cells of the full map whose centers are the window's points [m]
 
 
 class _PathFollower:
@@ -31,7 +33,10 @@ class _PathFollower:
         self._paths: list[np.ndarray | None] = [None] * robots
 
     def _follow(self, robot: int, pose: np.ndarray, goal: tuple[float, float], points: np.ndarray) -> None:
-        """Choose the next command at ``pose (3,)``, among points ``(M, 2)`` in the robot's frame."""
+        """Choose the next command at ``pose (3,)``, among points ``(M, 2)`` in the robot's frame [m].
+
+        Without a path the target is ``goal``, in the frame of the pose and the path.
+        """
         path = self._paths[robot]
         target = goal if path is None else carrot(path, pose, self.carrot)
         self.last[robot] = self.window.choose(
@@ -40,7 +45,7 @@ class _PathFollower:
 
 
 class AStarDWA(_PathFollower):
-    """A* once on the full map from the true pose, then the dynamic window along the path.
+    """A* on the full map from the true pose, once for each way-point, then the dynamic window along the path.
 
     The map has the standing obstacles; pedestrians are only visible in the ranges.
     """
@@ -58,11 +63,10 @@ class AStarDWA(_PathFollower):
         self.last[robot] = 0.0
         self._worlds[robot] = world
         self._goals[robot] = None
-        fine = 0.05
-        clearance = clearance_map(world.arena.obstacles, world.arena.side, fine)
+        clearance = clearance_map(world.arena.obstacles, world.arena.side, _FINE)
         # cells next to a wall are half a cell from it, give or take rounding
-        edge = np.argwhere(clearance <= fine / 2 + 1e-6)
-        self._points[robot] = (edge[:, ::-1] + 0.5) * fine - world.arena.side / 2
+        edge = np.argwhere(clearance <= _FINE / 2 + 1e-6)
+        self._points[robot] = (edge[:, ::-1] + 0.5) * _FINE - world.arena.side / 2
 
     def commands(self, senses: Senses, robots: np.ndarray | None = None) -> np.ndarray:
         """Speed [m/s] and turn rate [rad/s] ``(N, 2)``."""
@@ -75,7 +79,7 @@ class AStarDWA(_PathFollower):
                 pose = np.array([*place, scanned[2] + after[2] - before[2]])
             goal = goal_in_world(pose, senses.goal[robot])
             last_goal = self._goals[robot]
-            if last_goal is None or math.dist(goal, last_goal) > 0.1:
+            if last_goal is None or math.dist(goal, last_goal) > OTHER_GOAL:
                 self._goals[robot] = goal
                 cost = inflated_cost(clearance_map(world.arena.obstacles, world.arena.side))
                 self._paths[robot] = shortest_path(cost, tuple(pose[:2]), goal, world.arena.side)

@@ -18,9 +18,12 @@ SPEEDS = tuple(round(0.1 * step, 1) for step in range(11))  # [m/s]
 TURNS = tuple(round(-1.2 + 0.2 * step, 1) for step in range(13))  # [rad/s]
 COMMANDS = tuple((speed, turn) for speed in SPEEDS for turn in TURNS)
 HORIZON = 1.6  # [s]
-STOPPING_TIME = 0.6  # for which an arc must be free; longer at higher speeds [s]
-CLEARANCE = 0.8  # weight of the clearance, relative to progress toward the target [1/m]
+STOPPING_TIME, PER_SPEED = 0.6, 0.8  # for which an arc must be free [s], and more of it per speed [s2/m]
+CLEARANCE = 0.8  # weight of the clearance, relative to progress toward the target
 ENOUGH = 0.30  # clearance above which more adds no score [m]
+TURNED, SPEED = 0.35, 0.15  # weights of the target's bearing at the arc's end [m/rad] and of the speed [s]
+CLOSE = 0.5  # distance to the target within which its bearing counts less [m]
+SPOT_TURN = 0.8  # rate of a turn on the spot [rad/s]
 ACCELERATION, TURN_ACCELERATION = 2.5, 6.0  # bounds of the window [m/s2], [rad/s2]
 #: Of what the window chooses; stored episodes of planners name it. 1 braked harder than the window allows.
 DWA_VERSION = 2
@@ -75,15 +78,14 @@ class DynamicWindow:
         )
         x, y = target
         before = float(np.hypot(x, y))
-        ahead = np.minimum(free, HORIZON)
         reached = np.hypot(x - self.end[:, 0], y - self.end[:, 1])
         bearing = np.arctan2(y - self.end[:, 1], x - self.end[:, 0]) - self.end[:, 2]
         turned = np.abs(np.arctan2(np.sin(bearing), np.cos(bearing)))
-        # close to the target its bearing is meaningless
-        turned *= np.clip(reached / 0.5, 0, 1)
-        score = (before - reached) - 0.35 * turned + CLEARANCE * np.minimum(gap, ENOUGH)
-        score += 0.15 * self.speed
-        safe = ahead >= np.minimum(STOPPING_TIME + 0.8 * self.speed, HORIZON) - 1e-9
+        # at the target its bearing is meaningless
+        turned *= np.clip(reached / CLOSE, 0, 1)
+        score = (before - reached) - TURNED * turned + CLEARANCE * np.minimum(gap, ENOUGH)
+        score += SPEED * self.speed
+        safe = free >= np.minimum(STOPPING_TIME + PER_SPEED * self.speed, HORIZON) - 1e-9
         # with less room already, no arc may reduce it by more than the slack
         room = min(WINDOW_ROOM, max(float(gap[self._standing]) - self.slack, min(self.slack, 0.01)))
         allowed = safe & window & (self.speed > 0) & (gap >= room)
@@ -95,9 +97,12 @@ class DynamicWindow:
         return _within(0.0, last[0], ACCELERATION), _within(turn, last[1], TURN_ACCELERATION)
 
     def _turn_on_the_spot(self, gap: np.ndarray, y: float, last: tuple[float, float]) -> float:
-        """Without a safe arc: turn toward the target, then keep turning; ``gap (K,)`` [m] is clearance."""
+        """Rate of a turn on the spot [rad/s], to the side of the last or else of the target; 0 without room.
+
+        ``gap (K,)`` [m] is the clearance of the commands, ``y`` [m] how far left the target is.
+        """
         side = np.sign(last[1]) if last[0] == 0 and last[1] != 0 else (1.0 if y >= 0 else -1.0)
-        for turn in (0.8 * side, -0.8 * side):
+        for turn in (SPOT_TURN * side, -SPOT_TURN * side):
             command = int(np.flatnonzero((self.speed == 0) & (np.abs(self.turn - turn) < 1e-6))[0])
             if gap[command] >= TURNING_GAP:
                 return float(turn)
@@ -129,7 +134,7 @@ class LocalDWA:
         self.sight = sight
         self.carrot = carrot
         self.window = DynamicWindow()
-        self.observer = Observer(robots, memory=memory, bins=1, arcs=False)
+        self.observer = Observer(robots, memory=memory, bins=0, arcs=False)
         self.last = np.zeros((robots, 2))
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:

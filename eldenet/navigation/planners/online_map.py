@@ -10,19 +10,23 @@ from eldenet.simulation.arenas import INFLATION, RESOLUTION
 from eldenet.simulation.obstacle import SIDE
 from eldenet.simulation.robot import ROBOT, view_of
 
-SURE = 4  # evidence of a cell that is occupied for sure, of 8
+ENDS, PASSES = 2, -1  # evidence that a scan adds to cells in which rays end, and to those they pass
+LEAST_EVIDENCE, MOST_EVIDENCE = -2, 8
+SURE = 4  # evidence of a cell that is occupied for sure
+BEFORE_END = 0.15  # rays pass no cells so close before their end [m]
+TIGHT_COST = 6.0  # of a meter within the full inflation
 LEAST_ROOM, NEAR = 0.20, 0.5  # clearance of a way [m]; distance to the robot and to a goal that counts [m]
 TIGHT = 0.30  # inflation if no path exists at the full one [m]
 _UNDER = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-6, 7)), axis=-1).reshape(-1, 2) * RESOLUTION / 2
-_UNDER = _UNDER[np.hypot(*_UNDER.T) < ROBOT.length / 2]  # a disc under the robot [m]
+_UNDER = _UNDER[np.hypot(*_UNDER.T) < ROBOT.length / 2]  # points of a disc under the robot, every 5 cm [m]
 _MARGIN = 2.0  # around the map: odometry may drift out of the arena [m]
 
 
 class OnlineMap:
     """Map of one robot: which cells rays ended in, and which they passed through.
 
-    A cell is occupied if more rays ended in it than passed through it recently. Its frame is the odometry's,
-    moved so that the first pose is its origin, in the middle of the map.
+    A cell is occupied if its evidence is above 0: a scan whose rays end in it weighs as much as two that pass
+    through it. The map's frame is the odometry's, moved so that the first pose is its origin, in the middle.
 
     Args:
         reach: range up to which readings count [m].
@@ -69,15 +73,15 @@ class OnlineMap:
         grid = self.evidence
         steps = np.arange(0.0, self.reach, RESOLUTION)
         free = ranges if cautious is None else np.where(cautious > 0, ranges, 0.0)
-        passed = steps[None, :] < free[:, None] - 0.15
+        passed = steps[None, :] < free[:, None] - BEFORE_END
         cells = self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[passed]))
-        grid[cells] = np.maximum(grid[cells] - 1, -2)
+        grid[cells] = np.maximum(grid[cells] + PASSES, LEAST_EVIDENCE)
         met = steps[None, :] < free[:, None] + RESOLUTION / 2
         self.seen[self.cells(self._inside((camera + steps[None, :, None] * rays[:, None])[met]))] = True
         self.seen[self.cells(self._inside(pose[:2] + _UNDER))] = True
         ends = ranges < self.reach
         cells = self.cells(self._inside(camera + ranges[ends, None] * rays[ends]))
-        grid[cells] = np.minimum(np.maximum(grid[cells], 0) + 2, 8)
+        grid[cells] = np.minimum(np.maximum(grid[cells], 0) + ENDS, MOST_EVIDENCE)
 
     def _inside(self, points: np.ndarray) -> np.ndarray:
         """Those of the points ``(N, 2)`` [m] that lie on the map."""
@@ -108,7 +112,7 @@ class OnlineMap:
         return centers[inside & ~(seen | (beside & ~walls)).ravel()]
 
     def _around(self, pose: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, tuple[slice, slice]]:
-        """Centers ``(M, 2)`` [m] of a window of cells, which are within ``reach`` [m], and the window."""
+        """Centers ``(M, 2)`` [m] of cells around, mask of those within ``reach`` [m], their rows, columns."""
         low, high = (
             np.clip((pose[:2] + self.side / 2 + beside) / RESOLUTION, 0, self.count).astype(int)
             for beside in (-reach - 0.2, reach + 0.2)
@@ -136,7 +140,8 @@ class OnlineMap:
             pose: ``(3,)`` of the robot in the map's frame.
             goal: in that frame [m].
             costs: pairs of a clearance [m] and the cost of a meter with less, by rising clearance.
-            points: ``(M, 2)`` [m] that are occupied; so are cells with evidence of more than one ray.
+            points: ``(M, 2)`` [m] that are occupied; so are cells with evidence above 1: a reading that the
+                next scan passes does not count.
         """
         import cv2
 
@@ -180,7 +185,7 @@ class OnlineMap:
         taken = taken[rows, columns].astype(np.uint8)
         corner = (rows.start, columns.start)
         too_close, much_too_close = (within(taken, reach) for reach in (INFLATION, TIGHT))
-        for close, cost_of_close in ((too_close, np.inf), (much_too_close, 6.0)):
+        for close, cost_of_close in ((too_close, np.inf), (much_too_close, TIGHT_COST)):
             cost = np.where(close, np.inf, np.where(too_close, cost_of_close, 1.0))
             path = shortest_path(cost, tuple(pose[:2]), goal, self.side, corner=corner)
             if path is not None:

@@ -18,17 +18,16 @@ from eldenet.navigation.collision_arcs import REACH, STEP, ArcTable, arc_table
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.obstacle_memory import Memory
 from eldenet.navigation.on_robot import OnRobot
-from eldenet.navigation.planners.astar import goal_in_world, to_robot
+from eldenet.navigation.planners.astar import REPLAN_EVERY, goal_in_world, to_robot
 from eldenet.navigation.planners.dwa import DynamicWindow
 from eldenet.navigation.planners.online_map import OnlineMap
 from eldenet.navigation.policy import Driver, Navigator
 from eldenet.navigation.safety_margins import BESIDE, FAST_ROOM, STEER_MARGIN, STEER_ROOM, WINDOW_SLACK
 from eldenet.simulation.robot import ROBOT
 
-REPLAN_EVERY = 5  # control periods
 NO_WAY = 5.0  # time for which the map must have closed every way to the goal for sure [s]
 NO_PATH = 20.0  # the same where a search finds no path, but by readings that may be wrong [s]
-REMEMBERED = 300  # control periods that points are remembered
+REMEMBERED = 300  # control periods that points and the robot's own way are remembered
 #: Cost of a meter where the nearest obstacle is less than this away [m]; 1 elsewhere.
 COSTS = ((0.25, math.inf), (0.35, 20.0), (0.42, 3.0), (0.50, 1.5))
 WIDE = ((0.40, math.inf), (0.50, 1.5))  # the same where it went round in a circle or could only stand
@@ -147,7 +146,7 @@ class PlanAndSteer(OnRobot):
         who = np.arange(self.observer.robots) if robots is None else robots
         goal, poses = senses.goal.copy(), {}
         self._sees_behind = senses.ranges.shape[1] > ROBOT.columns
-        before = self._remembered(senses, who)
+        walls_before = self._remembered(senses, who)
         for robot in who.tolist():
             known = self._maps[robot]
             if not known.covers(senses.odometry[robot]):
@@ -162,14 +161,14 @@ class PlanAndSteer(OnRobot):
                 self._sliding[robot] = round(SLIDING_FOR / ROBOT.period)
             self._before[robot] = pose
             self._plan(robot, pose, goal_in_world(pose, goal[robot]))
-            goal[robot] = waypoint(self._paths[robot], pose, goal[robot], before[robot])
+            goal[robot] = waypoint(self._paths[robot], pose, goal[robot], walls_before[robot])
         observation = self.observer.observe(senses._replace(goal=goal), who)
         actions = self.navigator.network(torch.from_numpy(observation).double()).argmax(1).numpy()
-        after = self._remembered(senses, who)
+        walls_now = self._remembered(senses, who)
         out = self.observer.last.copy()
         for robot, action in zip(who.tolist(), actions, strict=True):
             wanted = self.observer.speeds[robot, action], self.observer.turn_rates[action]
-            walls, unseen = after[robot], self._unseen(robot, poses[robot])
+            walls, unseen = walls_now[robot], self._unseen(robot, poses[robot])
             backs = self._backs[robot] > 0
             if not backs and self._left[robot] == 0 and self._is_safe(robot, int(action), walls, unseen):
                 if self._sliding[robot] > 0:
@@ -192,7 +191,7 @@ class PlanAndSteer(OnRobot):
         return {int(robot): points[row == number] for number, robot in enumerate(who)}
 
     def _plan(self, robot: int, pose: np.ndarray, goal: tuple[float, float]) -> None:
-        """Search the path from ``pose (3,)`` every second, and at once when the robot drives a circle."""
+        """Search a path from ``pose (3,)``: every second, in every period without one, after each circle."""
         trail = self._trails[robot]
         extend(trail, pose)
         self._left[robot] = max(self._left[robot] - 1, 0)
@@ -212,12 +211,15 @@ class PlanAndSteer(OnRobot):
         self._closed[robot] = self._closed[robot] + 1 if closed else 0
 
     def _unseen(self, robot: int, pose: np.ndarray) -> np.ndarray:
-        """Centers of cells near the robot that were never seen, in its frame ``(M, 2)`` [m]."""
+        """Centers of cells near the robot without evidence, in its frame ``(M, 2)`` [m].
+
+        These were never seen, or their evidence has come back to 0.
+        """
         centers, evidence = self._maps[robot].near(pose, UNSEEN_REACH)
         return to_robot(centers[(evidence == 0) & (np.hypot(*centers.T) > FREE_START)], pose)
 
     def _hidden(self, robot: int, pose: np.ndarray) -> np.ndarray:
-        """As :meth:`_unseen`, but without slivers; none once the robot has looked all round."""
+        """Centers of cells that were never seen, but slivers; none once the robot has looked all round."""
         if not self.heeds_unseen or self._looks[robot, 2] > LOOK_TURN:
             return np.empty((0, 2))
         centers = self._maps[robot].unseen_near(pose, UNSEEN_REACH)
@@ -256,7 +258,10 @@ class PlanAndSteer(OnRobot):
         return 0.0, self._free_turn(bearing, last[1], walls)
 
     def _free_turn(self, bearing: float, last: float, walls: np.ndarray) -> float:
-        """Rate of a turn on the spot free of ``walls (M, 2)``, to the target or as before [rad/s]; else 0."""
+        """Rate of a turn on the spot free of ``walls (M, 2)`` [rad/s], first as the last, else to the target.
+
+        0 if there is none.
+        """
         rates = self.observer.turn_rates.tolist()  # those of speed 0 are the table's first commands
         for rate in sorted(rates, key=lambda rate: -rate * math.copysign(1.0, last or bearing)):
             if rate and _along(self._table, walls, rates.index(rate))[0] >= HORIZON:
@@ -297,7 +302,10 @@ def sideways(before: np.ndarray, now: np.ndarray) -> float:
 
 
 def extend(trail: list[tuple[float, float, float]], pose: np.ndarray) -> None:
-    """Add a pose ``(3,)`` to a trail of x, y and way so far [m], which forgets old ones."""
+    """Add a pose ``(3,)`` to a trail of x, y and way so far [m], which forgets old ones.
+
+    It forgets ``REPLAN_EVERY`` at once, so the length still tells when a search is due.
+    """
     way = trail[-1][2] + math.dist(trail[-1][:2], pose[:2]) if trail else 0.0
     trail.append((float(pose[0]), float(pose[1]), way))
     if len(trail) > REMEMBERED:

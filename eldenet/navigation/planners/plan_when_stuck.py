@@ -13,15 +13,15 @@ import numpy as np
 
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.on_robot import OnRobot
-from eldenet.navigation.planners.astar import goal_in_world
+from eldenet.navigation.planners.astar import REPLAN_EVERY, goal_in_world
 from eldenet.navigation.planners.online_map import OnlineMap
-from eldenet.navigation.planners.plan_and_steer import REPLAN_EVERY, extend, is_circle, waypoint
+from eldenet.navigation.planners.plan_and_steer import extend, is_circle, waypoint
 from eldenet.navigation.policy import Driver, Navigator
 from eldenet.simulation.robot import ROBOT
 
 REACH = 2.0  # range up to which readings draw the map [m]: what is farther, a network often puts before it
 NEARER, STUCK_FOR = 0.5, 8.0  # progress toward the goal [m]; without it for this time [s], it is stuck
-OUT = 1.0  # once this much nearer to the goal than where it was stuck [m], it is out
+OUT = 1.0  # once this much nearer to the goal than ever before it was stuck [m], it is out
 #: Cost of a meter by clearance, as for PlanAndSteer. Noise narrows doors on the map, so little is closed.
 COSTS = ((0.2, math.inf), (0.3, 20.0), (0.4, 5.0), (0.6, 1.5))
 OTHER_GOAL = 0.5  # a goal that moves by more at once is another one [m]
@@ -64,9 +64,9 @@ class PlanWhenStuck(OnRobot):
         self._trails: list[list[tuple[float, float, float]]] = [[] for _ in range(robots)]
         self._goals = np.full((robots, 2), np.nan)  # in the map's frame [m]
         self._nearest = np.full(robots, math.inf)  # that it has come to the goal [m]
-        self._idle = np.zeros(robots, np.intp)  # control periods since
+        self._idle = np.zeros(robots, np.intp)  # control periods since its last progress
         self._stuck = np.full(robots, -1, np.intp)  # control periods since it is stuck; -1: it is not
-        self._stuck_at = np.zeros(robots)  # distance to the goal there [m]
+        self._nearest_before = np.zeros(robots)  # that it had come to the goal when it got stuck [m]
         self.rescues = np.zeros(robots, np.intp)
 
     def reset(self, robot: int | slice = slice(None), world: Any = None) -> None:
@@ -78,7 +78,7 @@ class PlanWhenStuck(OnRobot):
             self._restart(number)
 
     def _restart(self, robot: int) -> None:
-        """Start a new map."""
+        """Start a new map; the next goal counts as another one, so the rest starts anew with it."""
         self._maps[robot].reset()
         self._goals[robot] = np.nan
 
@@ -95,7 +95,8 @@ class PlanWhenStuck(OnRobot):
                 *senses.scan(robot),
             )
             at = goal_in_world(pose, goal[robot])
-            if not self._is_stuck(robot, pose, at, float(goal[robot, 0])):
+            self._judge(robot, pose, at, float(goal[robot, 0]))
+            if self._stuck[robot] < 0:
                 continue
             if self._stuck[robot] % REPLAN_EVERY == 0 or self._paths[robot] is None:
                 self._paths[robot] = known.plan_by_costs(pose, at, COSTS, _NO_POINTS)
@@ -104,8 +105,8 @@ class PlanWhenStuck(OnRobot):
             goal[robot] = waypoint(self._paths[robot], pose, goal[robot], walls)
         return self.navigator.commands(senses._replace(goal=goal), robots)
 
-    def _is_stuck(self, robot: int, pose: np.ndarray, goal: tuple[float, float], distance: float) -> bool:
-        """Whether the robot gets nowhere at ``pose (3,)``, and has not come out since."""
+    def _judge(self, robot: int, pose: np.ndarray, goal: tuple[float, float], distance: float) -> None:
+        """Note whether the robot gets stuck at ``pose (3,)``, or comes out; once in each period."""
         trail = self._trails[robot]
         if not math.dist(goal, self._goals[robot]) < OTHER_GOAL:  # another one
             self._nearest[robot], self._idle[robot], self._stuck[robot] = math.inf, 0, -1
@@ -117,11 +118,10 @@ class PlanWhenStuck(OnRobot):
             self._nearest[robot], self._idle[robot] = distance, 0
         if self._stuck[robot] >= 0:
             self._stuck[robot] += 1
-            if distance < self._stuck_at[robot] - OUT:
+            if distance < self._nearest_before[robot] - OUT:
                 self._stuck[robot], self._idle[robot] = -1, 0
                 del trail[:-1]
         elif self._idle[robot] * ROBOT.period >= STUCK_FOR or is_circle(trail):
-            self._stuck[robot], self._stuck_at[robot] = 0, self._nearest[robot]
+            self._stuck[robot], self._nearest_before[robot] = 0, self._nearest[robot]
             self._paths[robot] = None
             self.rescues[robot] += 1
-        return bool(self._stuck[robot] >= 0)
