@@ -15,12 +15,12 @@ from eldenet.geometry import PinholeCamera
 SLOPE = 0.25  # greatest tilt that is found [rad]
 AGREES = 0.04  # relative error of depth on the floor
 BELOW = 0.10  # relative depth beyond the floor's that lies below it: there is nothing
-LEAST_SHARE, MOST_BELOW = 0.3, 0.03  # of the lower half of the picture: on the floor, below it
+LEAST_SHARE, MOST_BELOW = 0.3, 0.03  # of the known pixels in the lower half: on the floor, below it
 LEAST_EXTENT = 1.5  # of the floor seen, ahead and across, relative to the camera's height
-LEVELED_BY, LEAST_FLOORS = 15, 3  # floors whose median counts, and the fewest
-MOST_TILT, MOST_SCALE = 0.2, 1.4  # that are corrected [rad]
-LEAST_TILT, LEAST_SCALE = 0.01, 0.03
-_PIXELS, _TRIALS, _LEAST = 600, 100, 40
+LEVELED_BY, LEAST_FLOORS = 15, 3  # last floors whose median counts, and the fewest
+MOST_TILT, MOST_SCALE = 0.2, 1.4  # greatest tilt [rad] and factor that are corrected
+LEAST_TILT, LEAST_SCALE = 0.01, 0.03  # tilt [rad] and error of the factor below which nothing is corrected
+_PIXELS, _TRIALS, _LEAST = 600, 100, 40  # about so many pixels; planes tried; fewest pixels of a floor
 
 
 class Floor(NamedTuple):
@@ -80,10 +80,10 @@ def find_floor(depth: np.ndarray, camera: PinholeCamera) -> Floor | None:
 
 
 class Leveler:
-    """Tilt of a camera and scale of its depth, by the floors that it sees over three seconds.
+    """Unknown tilt of a camera and scale of its depth, by the last floors that it saw.
 
-    It corrects what a mount has beyond what is known, up to :data:`MOST_TILT` and :data:`MOST_SCALE`. Beyond,
-    it corrects nothing, and the driver's watch says what is wrong.
+    It finds them up to :data:`MOST_TILT` and :data:`MOST_SCALE`. Beyond, it corrects nothing: the driver's
+    watch says what is wrong.
     """
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class Leveler:
         self._floors: deque[Floor] = deque(maxlen=LEVELED_BY)
 
     def __call__(self, depth: np.ndarray, camera: PinholeCamera, height: float) -> tuple[float, float, float]:
-        """Pitch and roll to add [rad], and a factor for depth; (0, 0, 1) where little is wrong.
+        """Pitch and roll to add [rad], and a factor for depth; (0, 0, 1): correct nothing.
 
         Args:
             depth: ``(H, W)`` [m].
@@ -115,7 +115,7 @@ class Leveler:
 
 
 def _lower_half(shape: tuple[int, ...]) -> np.ndarray:
-    """Rows and columns of about 600 pixels in a grid over the lower half."""
+    """Rows and columns of about ``_PIXELS`` pixels in a grid over the lower half."""
     height, width = shape
     step = max(1, int(math.sqrt(height * width / 2 / _PIXELS)))
     return np.mgrid[height // 2 : height : step, 0:width:step]

@@ -6,12 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from eldenet.geometry import check_meters
-from eldenet.navigation.ranges import LEAST_VIEW
+from eldenet.navigation.ranges import BEYOND, LEAST_VIEW
 from eldenet.simulation.robot import ALL_ROUND, ROBOT, front
 
 FARTHEST_AHEAD = 0.5  # a lidar's place in front of the axle or behind it [m]
 WIDEST_STEP = 2 * math.degrees(ROBOT.field_of_view / ROBOT.columns)  # between two beams [degrees]
-_BEYOND = 100.0  # stands for infinite [m]
 
 
 class Scan(NamedTuple):
@@ -42,10 +41,10 @@ def scan_to_ranges(scan: Scan) -> np.ndarray:
     ranges, angles, ahead = scan
     _check(ranges, angles, ahead)
     known = ranges > 0
-    away = np.where(known, np.minimum(ranges.astype(np.float64), _BEYOND), _BEYOND)
+    away = np.where(known, np.minimum(ranges.astype(np.float64), BEYOND), BEYOND)
     x, y = ahead + away * np.cos(angles), away * np.sin(angles)
     known &= (np.abs(x) > ROBOT.length / 2) | (np.abs(y) > ROBOT.width / 2)
-    away = np.where(known, away, _BEYOND)  # a mast behind the camera's place hides what is ahead
+    away = np.where(known, away, BEYOND)  # a mast behind the camera's place hides what is ahead
     x, y = ahead + away * np.cos(angles) - ROBOT.camera_ahead, away * np.sin(angles)
     column = _columns(np.arctan2(y, x))
     out = np.full(ALL_ROUND.columns + 1, np.inf)  # the last one is behind, where no column fits

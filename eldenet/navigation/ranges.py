@@ -25,7 +25,7 @@ MOST_TILTED = 0.5  # pitch and roll of a camera; more are degrees given as radia
 CAUTION = 0.8  # of the interval of depth whose low end is how near things may be
 LEAVES = 0.1  # what a picture shows in the lowest so many meters at a distance may reach below it
 STANDS = 0.9  # share of the floor's depth below which a pixel shows what stands on the floor
-_BEYOND = 100.0  # stands for infinite [m]
+BEYOND = 100.0  # stands for infinite [m]
 
 
 def depth_to_ranges(
@@ -83,7 +83,7 @@ def depth_to_ranges(
     down = ((np.arange(height) - intrinsics[1, 2]) / intrinsics[1, 1])[:, None]
     close = np.isneginf(depth)
     known = (depth > 0) | close  # nan is not
-    depth = np.where(np.isposinf(depth), _BEYOND, np.where(close, 0.0, depth))
+    depth = np.where(np.isposinf(depth), BEYOND, np.where(close, 0.0, depth))
     if any(tilt):  # go on with the level camera at the same place
         x, y, z = (a * right + b * down + c for a, b, c in level_rotation(*tilt))
         right, down, depth, low = x / z, y / z, depth * z, None if low is None else low * z
@@ -159,7 +159,7 @@ def _standing_on_the_floor(
 ) -> np.ndarray:
     """Depth ``(H, W)`` with unknown pixels where what their column shows right below them stands."""
     with np.errstate(divide="ignore"):
-        floor = np.broadcast_to(np.where(down > 0, camera_height / down, _BEYOND), depth.shape).copy()
+        floor = np.broadcast_to(np.where(down > 0, camera_height / down, BEYOND), depth.shape).copy()
     stands = known[1:] & (depth[1:] < STANDS * floor[1:])  # the shoes below black trousers
     floor[:-1][stands] = depth[1:][stands]
     filled, at = depth.copy(), np.full(depth.shape[1], np.nan)

@@ -5,7 +5,14 @@ from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
-from eldenet.simulation.arenas import KINDS, Arena, clearance_map, draw_start_and_goal, generate_arena
+from eldenet.simulation.arenas import (
+    KINDS,
+    MOST_OBSTACLES,
+    Arena,
+    clearance_map,
+    draw_start_and_goal,
+    generate_arena,
+)
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.system.checks import one_of
 
@@ -16,7 +23,8 @@ TASK_STREAM = 103  # next to arenas.SPLITS: further start and goal pairs of trai
 class TrainingArenas:
     """Random arenas for one slot of a training environment.
 
-    Each arena is used ``repeats`` times, with another start and goal each time.
+    Each arena is used ``repeats`` times, with another start and goal each time; traps, mazes and corridors
+    keep theirs.
 
     Attributes:
         densities: least and greatest number of obstacles.
@@ -44,10 +52,11 @@ class TrainingArenas:
     def __post_init__(self) -> None:
         one_of("kind", self.kind, tuple(KINDS))
         low, high = self.densities
-        if not 0 <= low <= high <= 120 or self.repeats < 1 or not 0 <= self.dense_share <= 1:
+        if not 0 <= low <= high <= MOST_OBSTACLES or self.repeats < 1 or not 0 <= self.dense_share <= 1:
             raise ValueError(
                 f"densities={(low, high)}, dense_share={self.dense_share}, repeats={self.repeats}: give "
-                "0 <= least <= greatest <= 120 obstacles, a share from 0 to 1 and at least 1 episode"
+                f"0 <= least <= greatest <= {MOST_OBSTACLES} obstacles, a share from 0 to 1 and at least 1 "
+                "episode"
             )
         self._arena: Arena | None = None
         self._clearance = np.empty((0, 0))
@@ -73,7 +82,7 @@ class TrainingArenas:
             self._clearance = clearance_map(self._arena.obstacles)
             return self._arena
         self._left -= 1
-        if self.kind in ("traps", "maze", "corridor"):  # with their own start and goal
+        if self.kind in ("traps", "maze", "corridor"):
             return self._arena
         draw = Draw((TASK_STREAM, int(rng.integers(2**31))))
         ends = draw_start_and_goal(draw, self._clearance, self.min_distance, self._arena.pedestrians)
