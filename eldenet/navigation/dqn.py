@@ -24,6 +24,7 @@ from eldenet.system.errors import reading
 from eldenet.training.checkpoint import save_checkpoint
 
 CHECKPOINT = "dqn.pt"
+REPORT_EVERY = 5_000  # environment steps
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,8 @@ class DQN:
 
         Args:
             folder: of the checkpoint; None: none is written.
-            report: called about every 5,000 steps with the rate of each outcome, loss and value.
+            report: called about every :data:`REPORT_EVERY` steps with the number of steps so far and the rate
+                of each outcome, loss and value since the last report.
             at_checkpoint: called before each checkpoint is written.
         """
         while not self.finished:
@@ -151,7 +153,7 @@ class DQN:
         obs, _ = env.reset(seed=int(rng.integers(2**31)))
         end = min(settings.total_timesteps, (number + 1) * settings.checkpoint_interval)
         ends, losses, values = np.zeros(4), [], []
-        next_report = self.num_timesteps + 5_000
+        next_report = self.num_timesteps + REPORT_EVERY
         while self.num_timesteps < end:
             action = self.act(obs, rng)
             next_obs, reward, terminated, truncated, info = env.step(action)
@@ -171,7 +173,7 @@ class DQN:
                 rates = dict(zip(("success", "collision", "timeout"), ends[1:] / total, strict=True))
                 means = {"loss": float(np.mean(losses)), "value": float(np.mean(values))}
                 report(self.num_timesteps, rates | means)
-                ends, losses, values, next_report = np.zeros(4), [], [], self.num_timesteps + 5_000
+                ends, losses, values, next_report = np.zeros(4), [], [], self.num_timesteps + REPORT_EVERY
 
     @property
     def epsilon(self) -> float:
@@ -318,7 +320,7 @@ class NStepWindows:
         self.steps.append((obs, action, reward))
         self.length = np.minimum(self.length + 1, self.n)
         value = np.zeros(len(action))
-        for back in range(1, len(self.steps) + 1):  # windows that start `back` steps ago
+        for back in range(1, len(self.steps) + 1):  # the window of the last `back` steps
             first_obs, first_action, first_reward = self.steps[-back]
             value = first_reward + self.gamma * value
             # a window is complete after n steps; the end of an episode completes shorter ones

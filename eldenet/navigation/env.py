@@ -18,7 +18,7 @@ GOAL_REWARD, COLLISION_REWARD, PROGRESS_REWARD, STEP_REWARD = 5.0, -5.0, 0.5, -0
 
 
 def reward(progress: np.ndarray, events: np.ndarray) -> np.ndarray:
-    """Reward for progress and the goal, minus a penalty for collisions and time.
+    """Reward ``(N,)`` for progress and the goal, less penalties for a collision and for time.
 
     The terms are those of the paper's prose, but for time; the constants are ours, as Algorithm 1's listing
     is missing from our copy of the text.
@@ -45,13 +45,15 @@ class ArenaNavVectorEnv(VectorEnv):
 
     When an episode ends, the next one starts within the same step (``AutoresetMode.SAME_STEP``): the returned
     observation is the first of the new episode, and ``info["final_obs"]`` (with the mask
-    ``info["_final_obs"]``) is the last of the old one. A collision and the goal terminate; the time limit
-    truncates. With a camera, ``info["fed_by"]`` ``(num_envs, 5)`` is the source of each sector: "depth" or
-    "box".
+    ``info["_final_obs"]``) is the last of the old one, ``info["seconds"]`` its duration. A collision and the
+    goal terminate; the time limit truncates; ``info["event"]`` says which, as numbers of
+    :class:`~eldenet.navigation.episodes.Event`. With a camera, ``info["fed_by"]`` ``(num_envs, 5)`` is the
+    source of each sector: "depth" or "box".
 
     Args:
         sensor: "ranges", "noisy" or a :class:`~eldenet.navigation.sensors.Sensor`.
         physics: "kinematic" or "wheels".
+        num_envs: number of robots.
         arenas: to train in; None: :class:`~eldenet.navigation.tasks.TrainingArenas`.
         time_limit: of an episode [s].
         goal: "known", "fixes" or "odometry"; see :class:`~eldenet.navigation.episodes.EpisodeSettings`.
@@ -134,7 +136,7 @@ class ArenaNavEnv(gym.Env):
     """One robot: what ``gymnasium.make("eldenet.navigation.registration:eldenet/ArenaNav-v0")`` returns.
 
     ``info["fed_by"]`` is the source of each sector's nearest range, right to left: "simulator", "depth" or
-    "box".
+    "box"; after a step, ``info["event"]`` is "none", "goal", "collision" or "timeout".
 
     Args:
         arena: of every episode, such as :func:`~eldenet.simulation.arenas.triangle_course` or what

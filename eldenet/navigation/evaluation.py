@@ -31,7 +31,7 @@ class Episode:
 
     Attributes:
         world: name of the arena.
-        density: its number of standing obstacles.
+        density: its number of standing obstacles, without walls.
         outcome: "success", "collision" or "timeout".
         seconds: duration [s].
         travelled: length of the driven path [m].
@@ -62,7 +62,9 @@ def run_episodes(
     """Run one episode in every arena; the results are in the order of the arenas.
 
     Args:
+        arenas: in their order they also number the episodes, for the seeds.
         make_policy: number of robots -> policy.
+        sensor: of every robot.
         settings: of the episodes. No outcome depends on the other arenas.
         robots: episodes that run at once.
         advance: called with the number of episodes that have ended, for a progress bar.
@@ -82,7 +84,7 @@ def run_episodes(
     for slot in range(robots):
         start(slot, slot)
     active = np.arange(robots)
-    episodes.sense()
+    episodes.scan(range(robots))
     while len(active):
         commands = policy.commands(episodes.senses(), active)
         _, events = episodes.step(commands, active.tolist())
@@ -116,7 +118,7 @@ def to_goal(arena: Arena) -> float:
 
 
 def summarize(rows: Sequence[Episode]) -> dict[str, Any]:
-    """Rates [%] with Wilson's 95 % intervals, mean time of the successes [s], SPL."""
+    """Rates [%], that of success with Wilson's 95 % interval, mean time of the successes [s], SPL."""
     from scipy.stats import binomtest
 
     outcomes = np.array([row.outcome for row in rows])

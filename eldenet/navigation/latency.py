@@ -36,8 +36,9 @@ class Predictive:
     driven until then off the nearest range.
 
     Args:
-        driver: one that maps what it sees, learned or planned.
+        driver: one that knows ``Senses.scanned_from``, as all here that look.
         latency: from a scan until its command takes effect [s].
+        robots: number of robots.
     """
 
     def __init__(self, driver: "Policy", latency: float, robots: int = 1) -> None:

@@ -32,6 +32,7 @@ class Driver(Observer):
     """An observer that can slow down at another distance to the goal than in training.
 
     Args:
+        robots: number of robots.
         slows_within: distance to the goal at which it starts to slow down [m].
         options: of :class:`~eldenet.navigation.observer.Observer`.
 
@@ -78,7 +79,10 @@ class Navigator(OnRobot):
     """One or more trained Q-networks with the observer of their training, for one robot or many.
 
     Args:
+        network: observation -> values of the actions.
         observer: options of :class:`Driver`.
+        robots: number of robots.
+        info: notes about the training; None: none.
 
     Attributes:
         files: that it was loaded from.
@@ -120,6 +124,7 @@ class Navigator(OnRobot):
             walkers: track pedestrians (:class:`~eldenet.navigation.observer.Observer`), even if it was
                 trained without; None: as stored.
             slows_within: distance to the goal at which it starts to slow down [m]; None: as stored.
+            robots: number of robots.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -148,7 +153,7 @@ class Navigator(OnRobot):
         return navigator
 
     def save(self, path: str | Path) -> None:
-        """Write weights and observer to one ``.safetensors`` file; several networks are stored as float16."""
+        """Write weights, observer and notes to a ``.safetensors`` file; several networks become float16."""
         members = len(self.network.members) if isinstance(self.network, Ensemble) else 1
         notes = {
             "inputs": self.network.inputs,

@@ -18,8 +18,8 @@ EPISODE_VERSION = 1
 
 
 def driver_identity(policy: Policy) -> dict[str, Any] | None:
-    """Files, training notes and observer of a learned driver; None for a planner."""
-    navigator = getattr(policy, "navigator", policy)  # the learned part of a planner
+    """Files, training notes and observer of a learned driver, or of a planner's; None without one."""
+    navigator = getattr(policy, "navigator", policy)
     if not isinstance(navigator, Navigator):
         return None
     files = [{"file": str(file), "sha256": sha256(file)} for file in navigator.files]

@@ -49,7 +49,13 @@ def train(
     the driver is validated on dense arenas of the "val" split, of the training's kind, with its greatest
     number of pedestrians and its time limit. The last policy is kept, whatever the validation says.
 
-    It takes ``validate`` arenas; 0: no validation.
+    Args:
+        learner: with the environment to train in.
+        sensor: for the validation.
+        folder: for checkpoint, policy and record.
+        log: for progress and scalars.
+        validate: number of arenas; 0: no validation.
+        config: settings, of which a checkpoint must have the same :data:`COMPARED`.
 
     Returns:
         Settings, version, seconds of processor time and wall clock, and the validation at each checkpoint

@@ -131,7 +131,7 @@ class Scene:
 
     @property
     def speed(self) -> float:
-        """Distance of the last two poses of the trail per period [m/s]."""
+        """Mean speed between the last two poses of the trail [m/s]."""
         if len(self.trail) < 2:
             return 0.0
         return math.dist(self.trail[-1][:2], self.trail[-2][:2]) / ROBOT.period
@@ -139,7 +139,7 @@ class Scene:
     def draw(self, episodes: Episodes, slot: int, note: str = "", view: Any = None) -> np.ndarray:
         """Camera, depth and sectors beside the top view, under a line of text.
 
-        ``(size + 20, size + 2 / 5 * size * 4 / 3, 3)`` uint8 RGB.
+        ``(size + TITLE, size + w, 3)`` uint8 RGB, ``w`` as in :func:`camera_panels`.
 
         ``view`` is an :class:`~eldenet.simulation.arena_view.ArenaView` for sensors without images; without
         one, their panels stay empty.
@@ -168,7 +168,7 @@ def _label(picture: np.ndarray, text: str) -> None:
     cv2.putText(picture, text, (4, height + 2), _FONT, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
 
 
-def _scale(depth: np.ndarray) -> None:
+def _color_scale(depth: np.ndarray) -> None:
     """Draw the scale of the colors along the lower edge of ``(H, W, 3)`` uint8, in place."""
     height, width = depth.shape[:2]
     left, right, top, low = 30, width - 30, height - 16, height - 6
@@ -180,7 +180,10 @@ def _scale(depth: np.ndarray) -> None:
 
 
 def camera_panels(scan: SensorScan, size: int) -> np.ndarray:
-    """Photo, depth and sector bars, one below the other ``(size, 2 / 5 * size * 4 / 3, 3)`` uint8 RGB."""
+    """Photo, depth and sector bars, one below the other ``(size, w, 3)`` uint8 RGB.
+
+    Photo and depth are 2/5 of ``size`` high, ``w`` is 4/3 of that.
+    """
     height = size * 2 // 5
     width = height * 4 // 3
     photo = depth = np.full((height, width, 3), 225, np.uint8)
@@ -193,13 +196,13 @@ def camera_panels(scan: SensorScan, size: int) -> np.ndarray:
     if scan.depth is not None:
         colors = color_depth(scan.depth, ROBOT.near, ROBOT.far, scan.depth > 0)
         depth = np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
-        _scale(depth)
+        _color_scale(depth)
         _label(depth, "depth [m]")
     return np.concatenate([photo, depth, sector_bars(scan, (size - 2 * height, width))], axis=0)
 
 
 def sector_bars(scan: SensorScan, size: tuple[int, int]) -> np.ndarray:
-    """Nearest range [m] and its source per sector, as the camera sees them: ``(*size, 3)`` uint8 RGB."""
+    """Nearest range [m] and its source per sector, left to right: ``(*size, 3)`` uint8 RGB."""
     height, width = size
     picture: np.ndarray = np.full((height, width, 3), 255, np.uint8)
     for number, (near, source) in enumerate(zip(scan.sectors, scan.sectors_fed_by, strict=True)):
