@@ -67,7 +67,7 @@ class Robot:
 class Randomize:
     """Section ``training.randomize``: [least, greatest], drawn for each episode (size: for each arena)."""
 
-    # each drawn from [least, greatest]; of the robot's footprint, for each arena; 0.85 to 1.15, for example
+    # [least, greatest] to draw from; of the robot's footprint, for each arena; such as [0.85,1.15]
     size: list[float] = field(default_factory=lambda: [1.0, 1.0])
     speed: list[float] = field(default_factory=lambda: [1.0, 1.0])  # that it reaches, relative to the command
     latency: list[float] = field(default_factory=lambda: [0.0, 0.0])  # added to the sensor's [s]
@@ -212,7 +212,7 @@ def episode_settings(s: DriveSettings) -> "EpisodeSettings":
 
 
 def load_driver(s: DriveSettings, robots: int) -> "Policy":
-    """Return the driver of as many robots; with ``predict_latency`` it knows the sensor's."""
+    """Return the driver of ``robots`` robots; with ``predict_latency`` it knows the sensor's latency."""
     from eldenet.navigation.latency import Predictive
 
     driver: Policy = instantiate(s.policy, "policy")(robots=robots)
@@ -221,7 +221,11 @@ def load_driver(s: DriveSettings, robots: int) -> "Policy":
 
 
 def arenas_of(s: NavigateEvaluateSettings, density: Any) -> "Sequence[Arena]":
-    """Return the arenas of an evaluation with as many obstacles, or of its file."""
+    """Return the arenas of an evaluation: those with ``density`` obstacles, or those of its file.
+
+    Raises:
+        ValueError: the file has one arena, or the settings are out of range.
+    """
     from eldenet.navigation.tasks import frozen_arenas
     from eldenet.simulation.barn import read_barn
 

@@ -10,6 +10,7 @@ import numpy as np
 from eldenet.boxes import Boxes3D, Detections2D
 from eldenet.deploy.predictor import for_camera
 from eldenet.geometry import PinholeCamera, level_rotation
+from eldenet.navigation.localization import USUAL, Drift
 from eldenet.navigation.ranges import (
     CAUTION,
     MOST_TILTED,
@@ -18,7 +19,7 @@ from eldenet.navigation.ranges import (
     fill_unseen,
     footprints_to_ranges,
 )
-from eldenet.navigation.sensors import FED_BY, USUAL, Drift, SensorInstance, SensorScan, SimulatedSensor
+from eldenet.navigation.sensors import FED_BY, SensorInstance, SensorScan, SimulatedSensor
 from eldenet.perception.detectors import Detector
 from eldenet.perception.ground import flat_ground
 from eldenet.perception.lifter import BoxLifter, Method

@@ -131,7 +131,7 @@ class DQN:
         report: Callable[[int, dict[str, float]], None] = lambda step, values: None,
         at_checkpoint: Callable[["DQN"], None] = lambda dqn: None,
     ) -> None:
-        """Train to the end, from the last checkpoint on.
+        """Train to the end, from :attr:`num_timesteps` on.
 
         Args:
             folder: of the checkpoint; None: none is written.

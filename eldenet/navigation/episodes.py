@@ -23,7 +23,7 @@ from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
 
-#: Parts of a control period: at their ends commands take effect, and kinematic robots check for contact.
+#: Parts of a control period: a command may take effect at each start, contact is checked by each end.
 SUBSTEPS = round(ROBOT.period / LATENCY_STEP)
 GOAL_RADIUS = 0.5  # [m]
 TIME_LIMIT = 60.0  # [s]
@@ -129,6 +129,12 @@ FIXED = Randomization()  # every episode has the same robot
 
 class Episodes:
     """``count`` robots that drive at the same time.
+
+    Args:
+        count: number of robots, each in its slot.
+        sensor: of every robot.
+        settings: of every episode.
+        randomization: drawn for each episode.
 
     Attributes:
         worlds: of each slot, once it has started.

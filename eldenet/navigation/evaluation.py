@@ -73,11 +73,11 @@ def run_episodes(
     episodes = Episodes(robots, sensor, settings)
     policy = make_policy(robots)
     rows: dict[int, Episode] = {}
-    at = np.arange(robots)  # arena of each slot
+    arena_of = np.arange(robots)  # each slot
     waiting = iter(range(robots, len(arenas)))
 
     def start(slot: int, number: int) -> None:
-        at[slot] = number
+        arena_of[slot] = number
         episodes.start(slot, arenas[number], (settings.seed, number))
         policy.reset(slot, episodes.worlds[slot])
 
@@ -92,8 +92,8 @@ def run_episodes(
         for slot in active.tolist():
             event = Event(int(events[slot]))
             if event is not Event.NONE:
-                arena = arenas[at[slot]]
-                rows[int(at[slot])] = Episode(
+                arena = arenas[arena_of[slot]]
+                rows[int(arena_of[slot])] = Episode(
                     arena.name,
                     arena.density,
                     OUTCOMES[event],

@@ -9,10 +9,28 @@ Needs NumPy only, no simulator.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 Pose = tuple[float, float, float]
+#: Standard deviations of x, y [m] and heading [rad]: at the start, and by wheel slip in a meter.
+_AT_START, _SLIP = (0.02, 0.02, 0.01), (0.01, 0.01, 0.003)
+
+
+class Drift(NamedTuple):
+    """Errors of wheel odometry, drawn from normal distributions once per episode.
+
+    Attributes:
+        distance: standard deviation of the scale of distances.
+        heading: standard deviation of the heading's drift [rad/m].
+    """
+
+    distance: float = 0.02
+    heading: float = math.radians(1.0)
+
+
+EXACT, USUAL = Drift(0.0, 0.0), Drift()
 
 
 class Localizer:
@@ -30,13 +48,18 @@ class Localizer:
     """
 
     def __init__(
-        self, pose: Pose, *, deviation: float, distance: float = 0.02, heading: float = math.radians(1.0)
+        self,
+        pose: Pose,
+        *,
+        deviation: float,
+        distance: float = USUAL.distance,
+        heading: float = USUAL.heading,
     ) -> None:
         self.odometry = pose
         self._raw = pose
         self._noise = deviation**2 * np.eye(2)
         self._state = np.array([*pose, 0.0, 0.0])  # pose, scale of distances, heading's drift
-        self._covariance = np.diag([0.02**2, 0.02**2, 0.01**2, distance**2, heading**2])
+        self._covariance = np.diag([value**2 for value in (*_AT_START, distance, heading)])
 
     @property
     def pose(self) -> Pose:
@@ -68,8 +91,8 @@ class Localizer:
         jacobian[:2, 2] = -step[1], step[0]
         jacobian[:2, 3] = -step / (1 + scale)
         jacobian[2, 3:] = drift * way / (1 + scale), -way
-        # wheel slip: neither scale nor drift explains it
-        slip = np.diag([0.01**2, 0.01**2, 0.003**2, 0.0, 0.0]) * way
+        # neither scale nor drift explains slip
+        slip = np.diag([*(value**2 for value in _SLIP), 0.0, 0.0]) * way
         self._covariance = jacobian @ self._covariance @ jacobian.T + slip
         x, y, yaw = self.odometry
         c, s = math.cos(yaw), math.sin(yaw)

@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
+from eldenet.navigation.localization import USUAL, Drift
 from eldenet.navigation.range_errors import RangeErrors, segments
-from eldenet.navigation.sensors import USUAL, Drift, Ranges, SensorInstance, SensorScan, SimulatedSensor
+from eldenet.navigation.sensors import Ranges, SensorInstance, SensorScan, SimulatedSensor
 from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ROBOT
 
 #: Errors of the packaged network eldenet_arenas; the file says how they were measured.
 PACKAGED_ERRORS = Path(__file__).resolve().parent.parent / "weights" / "arena_range_errors.json"
+SHARED_BY = 4  # neighboring columns that have about the same part of the error
 _DEFAULTS = (0.08, 0.05, 0.03, 0.8)  # scale, smooth, column, memory
 
 
@@ -87,8 +89,8 @@ class _NoisyRanges:
     def scan(self) -> SensorScan:
         s, rng = self.sensor, self.rng
         self.scale = s.memory * self.scale + math.sqrt(1 - s.memory**2) * s.scale * rng.standard_normal()
-        coarse = rng.standard_normal(ROBOT.columns // 4 + 2)
-        at = np.arange(ROBOT.columns) / 4 + rng.random()
+        coarse = rng.standard_normal(ROBOT.columns // SHARED_BY + 2)
+        at = np.arange(ROBOT.columns) / SHARED_BY + rng.random()
         shared = s.smooth * np.interp(at, np.arange(len(coarse)), coarse)
         own = s.column * rng.standard_normal(ROBOT.columns)
         ranges = self.world.ranges()

@@ -13,7 +13,7 @@ import numpy as np
 
 from eldenet.boxes import Boxes3D
 from eldenet.navigation.latency import MAX_LATENCY, milliseconds_hint
-from eldenet.navigation.localization import Pose
+from eldenet.navigation.localization import EXACT, Drift, Pose
 from eldenet.navigation.observer import SECTORS
 from eldenet.navigation.ranges import LEAST_VIEW
 from eldenet.simulation.arena_world import ArenaWorld
@@ -74,25 +74,10 @@ class Sensor(Protocol):
     A sensor whose single columns may be wrong says so by an attribute ``wrong_columns``.
     """
 
-    drift: "Drift"
+    drift: Drift
     latency: float
 
     def begin(self, world: ArenaWorld, rng: np.random.Generator) -> SensorInstance: ...  # noqa: D102
-
-
-class Drift(NamedTuple):
-    """Errors of wheel odometry, drawn from normal distributions once per episode.
-
-    Attributes:
-        distance: standard deviation of the scale of distances.
-        heading: standard deviation of the heading's drift [rad/m].
-    """
-
-    distance: float = 0.02
-    heading: float = math.radians(1.0)
-
-
-EXACT, USUAL = Drift(0.0, 0.0), Drift()
 
 
 class SimulatedSensor:

@@ -38,7 +38,7 @@ class _PathFollower:
         Without a path the target is ``goal``, in the frame of the pose and the path.
         """
         path = self._paths[robot]
-        target = goal if path is None else carrot(path, pose, self.carrot)
+        target = goal if path is None else _point_along(path, pose, self.carrot)
         self.last[robot] = self.window.choose(
             points, tuple(to_robot(np.array([target]), pose)[0]), tuple(self.last[robot])
         )
@@ -134,7 +134,7 @@ def seen_points(ranges: np.ndarray) -> np.ndarray:
     )
 
 
-def carrot(path: np.ndarray, pose: np.ndarray, ahead: float) -> tuple[float, float]:
+def _point_along(path: np.ndarray, pose: np.ndarray, ahead: float) -> tuple[float, float]:
     """Point of a path ``(K, 2)`` that is ``ahead`` [m] after the one nearest to the robot ``(3,)``."""
     nearest = int(np.hypot(*(path - pose[:2]).T).argmin())
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[nearest:], axis=0).T))])

@@ -106,7 +106,7 @@ class PlanAndSteer(OnRobot):
         self._trails: list[list[tuple[float, float, float]]] = [[] for _ in range(robots)]  # x, y, way so far
         self._before = np.full((robots, 3), np.nan)  # last poses
         self._sliding = np.zeros(robots, np.intp)  # control periods for which it still drives slower
-        self._left = np.zeros(robots, np.intp)  # control periods until a circle is forgotten
+        self._wide = np.zeros(robots, np.intp)  # control periods for which it still takes wide paths
         self._backs = np.zeros(robots, np.intp)  # control periods that it still backs up
         self._closed = np.zeros(robots, np.intp)  # control periods without a way
         self._pathless = np.zeros(robots, np.intp)  # control periods without a path
@@ -131,7 +131,7 @@ class PlanAndSteer(OnRobot):
         self._trails[robot] = []
         self._before[robot] = np.nan
         self._sliding[robot] = self._looks[robot] = 0
-        self._left[robot] = self._backs[robot] = self.circles[robot] = self._closed[robot] = 0
+        self._wide[robot] = self._backs[robot] = self.circles[robot] = self._closed[robot] = 0
         self._pathless[robot] = 0
 
     @property
@@ -170,7 +170,7 @@ class PlanAndSteer(OnRobot):
             wanted = self.observer.speeds[robot, action], self.observer.turn_rates[action]
             walls, unseen = walls_now[robot], self._unseen(robot, poses[robot])
             backs = self._backs[robot] > 0
-            if not backs and self._left[robot] == 0 and self._is_safe(robot, int(action), walls, unseen):
+            if not backs and self._wide[robot] == 0 and self._is_safe(robot, int(action), walls, unseen):
                 if self._sliding[robot] > 0:
                     speed = SLIDING_SPEED * wanted[0]
                 else:
@@ -194,16 +194,16 @@ class PlanAndSteer(OnRobot):
         """Search a path from ``pose (3,)``: every second, in every period without one, after each circle."""
         trail = self._trails[robot]
         extend(trail, pose)
-        self._left[robot] = max(self._left[robot] - 1, 0)
-        circle = self._left[robot] == 0 and is_circle(trail)
+        self._wide[robot] = max(self._wide[robot] - 1, 0)
+        circle = self._wide[robot] == 0 and is_circle(trail)
         if circle:
             self.circles[robot] += 1
-            self._left[robot] = round(OUT_OF_CIRCLE / ROBOT.period)
+            self._wide[robot] = round(OUT_OF_CIRCLE / ROBOT.period)
             del trail[:-1]
         if circle or len(trail) % REPLAN_EVERY == 1 or self._paths[robot] is None:
             known = self._maps[robot]
             points = self.observer.memory.points(robot) - known.origin
-            wide = known.plan_by_costs(pose, goal, WIDE, points) if self._left[robot] > 0 else None
+            wide = known.plan_by_costs(pose, goal, WIDE, points) if self._wide[robot] > 0 else None
             self._paths[robot] = known.plan_by_costs(pose, goal, COSTS, points) if wide is None else wide
         pathless = self._paths[robot] is None
         self._pathless[robot] = self._pathless[robot] + 1 if pathless else 0
@@ -247,7 +247,7 @@ class PlanAndSteer(OnRobot):
             if command != (0.0, 0.0) or last[0] > 0:
                 return command
             self._backs[robot] = round(BACKS_FOR / ROBOT.period)
-            self._left[robot] = round(OUT_OF_CIRCLE / ROBOT.period)
+            self._wide[robot] = round(OUT_OF_CIRCLE / ROBOT.period)
         behind = np.concatenate([walls, hidden])
         turns = (BACK_LEFT, BACK_RIGHT) if bearing > 0 else (BACK_RIGHT, BACK_LEFT)
         for command in (turns[0], BACK, turns[1]) if self._sees_behind else (BACK,):
