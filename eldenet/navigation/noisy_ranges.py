@@ -36,7 +36,7 @@ class NoisyRanges(SimulatedSensor):
         memory: correlation of a frame's scale with the previous frame.
         errors: :class:`~eldenet.navigation.range_errors.RangeErrors` or their file, which replace the four
             above; "packaged": those of the packaged network ``eldenet_arenas``.
-        share: of the episodes with errors; the others have true ranges, so that a driver learns from both.
+        share: of the episodes that have errors; the others have true ranges: a driver learns from both.
 
     ``drift`` and ``latency`` are those of :class:`~eldenet.navigation.sensors.SimulatedSensor`.
 

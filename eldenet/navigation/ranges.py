@@ -157,13 +157,16 @@ def _rows_at(
 def _standing_on_the_floor(
     depth: np.ndarray, known: np.ndarray, down: np.ndarray, camera_height: float, lowest: float
 ) -> np.ndarray:
-    """Depth ``(H, W)`` with unknown pixels where what their column shows right below them stands."""
+    """Depth ``(H, W)`` [m] whose holes are as far as what is right below them: a thing, or else the floor.
+
+    A hole down to the picture's edge is 0 where it reaches above the height ``lowest`` [m].
+    """
     with np.errstate(divide="ignore"):
         floor = np.broadcast_to(np.where(down > 0, camera_height / down, BEYOND), depth.shape).copy()
     stands = known[1:] & (depth[1:] < STANDS * floor[1:])  # the shoes below black trousers
     floor[:-1][stands] = depth[1:][stands]
     filled, at = depth.copy(), np.full(depth.shape[1], np.nan)
-    below = np.full(depth.shape[1], False)  # a pixel below is known
+    below = np.full(depth.shape[1], False)  # whether a pixel below is known
     for row in range(len(depth) - 1, -1, -1):
         at = np.where(known[row], np.nan, np.where(np.isnan(at), floor[row], at))
         below |= known[row]

@@ -141,6 +141,7 @@ def test_a_training_draws_another_robot_for_each_arena_and_episode():
         ValueError, match=r"training\.randomize\.size=\[0\.2, 1\.0\]: give \[least, greatest\] within 0\.5"
     ):
         Randomization(size=(0.2, 1.0))
+    Randomization(speed=(0.5, 2.0))  # as far as an evaluation's robot.speed
 
 
 @pytest.mark.parametrize("physics", ["kinematic", "wheels"])

@@ -40,16 +40,16 @@ SIDEWAYS = 0.1  # speed across its heading from which on a robot slides [m/s]; a
 SLIDING_FOR = 5.0  # time for which it then drives slower [s]
 SLIDING_SPEED = 0.5  # of it then, relative to the learned driver's
 FREE_START = 0.6  # radius around the start that counts as seen [m]
-LOOK_WAY, LOOK_TURN = 0.3, 2 * math.pi  # turns so far within a way, it has seen what can be seen [m], [rad]
+LOOK_WAY, LOOK_TURN = 0.3, 2 * math.pi  # within this way [m], so much turning [rad] is to look all round
 UNSEEN_REACH = 1.6  # distance up to which unseen places count [m]
-CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # it is here again [m] after a way [m] and a time [s]
+CIRCLE_RADIUS, CIRCLE_WAY, CIRCLE_TIME = 0.7, 3.0, 6.0  # back within [m], after a way [m] and a time [s]
 OUT_OF_CIRCLE = 8.0  # time for which the dynamic window alone then follows a path through wide places [s]
 #: Commands [m/s], [rad/s] of a robot that can only stand, for a time [s]; those that turn need a lidar.
 BACK, BACK_LEFT, BACK_RIGHT = BACKS = (-0.25, 0.0), (-0.25, 0.5), (-0.25, -0.5)
 BACKS_FOR = 2.0
 #: Of what this driver decides, without and with ``heeds_unseen``; stored rows name it.
 STEER_VERSION, HEEDS_VERSION = 4, 1
-_LEVELS = 20  # of speed in the table of arcs
+_LEVELS = 20  # of speed in the table of arcs, per m/s
 
 
 class PlanAndSteer(OnRobot):
