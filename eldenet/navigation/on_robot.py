@@ -153,19 +153,13 @@ class OnRobot:
             depth = scan.ranges
         depth = _numbers("depth", depth)  # its own type, which as_ranges checks
         sigma = None if sigma is None else _numbers("sigma", sigma).astype(np.float64)
-        if image is not None:
-            image = _numbers("image", image)
-            if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
-                raise ValueError(
-                    f"image has type {image.dtype} and shape {image.shape}: give the camera's frame (H, W, "
-                    "3) uint8 RGB"
-                )
+        image = None if image is None else _picture(image)
         now, goal_row = _row("odometry", odometry, POSE), _row("goal", goal, GOAL)  # (1, 3), (1, 2)
         check_bearing(goal_row[0, 1], now[0, 2])
-        then = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
+        scanned = None if scanned_from is None else _row("scanned_from", scanned_from, POSE)
         matrix = None if intrinsics is None else intrinsic_matrix(intrinsics, check=False)
         self.wait()
-        reason = unfit(depth, matrix, now, goal_row, then)
+        reason = unfit(depth, matrix, now, goal_row, scanned)
         if reason is None and sigma is not None and (unsure := unsure_share(depth, sigma)) > MOST_UNSURE:
             reason = f"{unsure:.0%} of the view is unsure: a covered lens, darkness or a bare wall"
         if reason is None and self.watch is not None:
@@ -198,22 +192,24 @@ class OnRobot:
             look = Look(raw, front(ranges), front(measured), now[0], image, camera, camera_height, latency)
             if (reason := self.watch.judge(look, self._sent)) is not None:
                 return self._stand(reason)
-        pose, place = now[0], goal_row[0]
+        given_pose, given_goal = now[0], goal_row[0]  # of now: the driver decides for a later time
         # the memory has float32, which does not suffice for positions such as UTM's
         self._origin = now * (1, 1, 0) if self._origin is None else self._origin
-        now, then = now - self._origin, None if then is None else then - self._origin
+        now, scanned = now - self._origin, None if scanned is None else scanned - self._origin
         for part in (self.range_filter, self.range_scale):
             if part is not None:
-                ranges, near = part(ranges, (now if then is None else then)[0], cautious)
+                ranges, near = part(ranges, (now if scanned is None else scanned)[0], cautious)
                 cautious = ranges if near is None else near
         if latency:
-            then = now if then is None else then
+            scanned = now if scanned is None else scanned
             now, goal_row = (row[None] for row in ahead(now[0], goal_row[0], self._sent, latency))
-        command = self.commands(Senses(ranges[None], now, goal_row, cautious[None], then))[0]
+        command = self.commands(Senses(ranges[None], now, goal_row, cautious[None], scanned))[0]
         if abs(command[0]) > max_speed:
             command = command * (max_speed / abs(command[0]))
             self.observer.last[0] = command
-        if self.watch is not None and (reason := self.watch.lost(pose, place, self.no_way)) is not None:
+        if self.watch is not None:
+            reason = self.watch.lost(given_pose, given_goal, self.no_way)
+        if reason is not None:
             return self._stand(reason)
         self.stop_reason = None
         speed, turn = command.tolist()
@@ -258,6 +254,17 @@ def _numbers(name: str, values: Any) -> np.ndarray:
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name}={' '.join(repr(values).split())[:60]}: give an array of numbers")
     return array
+
+
+def _picture(values: Any) -> np.ndarray:
+    """Return a frame ``(H, W, 3)`` uint8 RGB as an array."""
+    image = _numbers("image", values)
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
+        raise ValueError(
+            f"image has type {image.dtype} and shape {image.shape}: give the camera's frame (H, W, 3) uint8 "
+            "RGB"
+        )
+    return image
 
 
 def check_bearing(bearing: float, heading: float) -> None:
