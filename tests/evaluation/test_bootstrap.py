@@ -20,6 +20,12 @@ def test_nothing_has_no_interval() -> None:
     assert np.isnan(bootstrap_interval(lambda drawn: 1.0, 0)).all()
 
 
+def test_a_missing_value_does_not_narrow_the_interval_of_a_mean() -> None:
+    values = np.array([0.3, np.nan, 0.5, 0.9])
+    with pytest.raises(ValueError, match="1 of 4 values are NaN or infinite: leave them out"):
+        mean_interval(values)
+
+
 def test_groups_that_are_alike_within_make_it_wider() -> None:
     groups = np.repeat(np.arange(20), 50)
     values = np.random.default_rng(0).normal(size=20)[groups]
