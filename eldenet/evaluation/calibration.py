@@ -8,7 +8,7 @@ import torch
 from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import evaluation_loader
 from eldenet.evaluation.cost import device_of
-from eldenet.evaluation.evaluator import pads, predict_spread
+from eldenet.evaluation.evaluator import is_padded, predict_spread
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.heads import UncertainHead
 from eldenet.model import DepthNet, eval_mode
@@ -35,7 +35,8 @@ def fit_temperature(
         ValueError: the network predicts no sigma, or no depth is known.
     """
     head = model.head
-    assert isinstance(head, UncertainHead), NO_SIGMA
+    if not isinstance(head, UncertainHead):
+        raise ValueError(NO_SIGMA)
     power = 1 if head.distribution == "laplace" else 2
     means = []
     device = device_of(model)
@@ -43,7 +44,7 @@ def fit_temperature(
         for batch in chain.from_iterable(evaluation_loader(dataset, batch_size)):
             focal = batch["intrinsics"][:, 0, 0].to(device)
             image = batch["image"].to(device)
-            pad = pads(dataset, image)
+            pad = is_padded(dataset, image)
             depth, spread = predict_spread(model, image, focal, flip=protocol.flip, pad=pad)
             truth = batch["depth"].to(device)
             valid = protocol.valid_mask(truth, batch["mask"].to(device))

@@ -13,7 +13,7 @@ from eldenet.system.timing import Waiting, median_ms, percentile_ms, time_interl
 
 @dataclass(frozen=True)
 class CostReport:
-    """Cost of one forward pass. A latency means nothing without the last six attributes."""
+    """Cost of one forward pass. A latency means nothing without the attributes from ``height`` on."""
 
     params: int  # number of parameters
     gmacs: float  # multiply-adds of one image [1e9]; convolutions and matrix products, as torch counts them
@@ -24,7 +24,7 @@ class CostReport:
     peak_memory_mb: float  # of the process (CPU) or the device (CUDA) [MB]
     height: int  # of the input [px]
     width: int  # of the input [px]
-    batch: int  # for the throughput
+    batch: int  # images at a time, for the throughput
     runtime: str  # what executed the model
     precision: str  # fp32, bf16, ...
     threads: int  # torch's threads
@@ -45,18 +45,18 @@ def count_macs(model: nn.Module, size: tuple[int, int]) -> int:
     """
     from torch.utils.flop_counter import FlopCounterMode
 
-    image = _image(model, 1, size)
+    image = _images(model, 1, size)
     with eval_mode(model), FlopCounterMode(display=False) as counter, torch.inference_mode():
-        model(image, *_camera(model))
+        model(image, *_focal_for_rays(model))
     return counter.get_total_flops() // 2
 
 
-def _camera(model: nn.Module) -> tuple[float, ...]:
-    """What a model that sees rays is given after the image, so that they are counted: fx [px]."""
+def _focal_for_rays(model: nn.Module) -> tuple[float, ...]:
+    """What a model is given after the image: fx [px] if it sees rays, so that they are counted."""
     return (float(model.canonical_px),) if getattr(model, "sees_rays", False) else ()  # type: ignore[arg-type]
 
 
-def _image(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
+def _images(model: nn.Module, batch: int, size: tuple[int, int]) -> Tensor:
     """Random images ``(batch, 3, *size)`` on the model's device."""
     return torch.rand(batch, 3, *size, generator=torch.Generator().manual_seed(0)).to(device_of(model))
 
@@ -89,7 +89,7 @@ def measure_cost(
     Args:
         model: image ``(B, 3, H, W)`` -> depth.
         size: ``(height, width)`` of the input [px].
-        batch: for the throughput.
+        batch: images at a time, for the throughput.
         seconds: to spend on each of the two timings; the device is synchronized and warmed up.
     """
     device = device_of(model)
@@ -97,12 +97,12 @@ def measure_cost(
         torch.cuda.reset_peak_memory_stats(device)  # the model's, not the training's before it
     model.to(memory_format=torch.channels_last)
     one, many = (
-        _image(model, number, size).contiguous(memory_format=torch.channels_last) for number in (1, batch)
+        _images(model, number, size).contiguous(memory_format=torch.channels_last) for number in (1, batch)
     )
-    camera = _camera(model)
+    focal = _focal_for_rays(model)
     with eval_mode(model), torch.inference_mode(), Waiting() as waiting:
         times = time_interleaved(
-            {"one": lambda: model(one, *camera), "many": lambda: model(many, *camera)},
+            {"one": lambda: model(one, *focal), "many": lambda: model(many, *focal)},
             seconds=seconds / 5,  # five rounds
             synchronize=torch.cuda.synchronize if device.type == "cuda" else None,
         )

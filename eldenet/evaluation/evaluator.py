@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from eldenet.evaluation.uncertainty_metrics import UncertaintyScores
 
 PER_IMAGE_HEADER = ("name", *METRICS)
+PICTURED = 4  # frames in a picture of samples
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,15 @@ def predict_depth(
     flip: str = "none",
     pad: bool = False,
 ) -> Tensor:
-    """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``; "mean" averages with the mirror image's.
+    """Depth ``(B, 1, h, w)`` [m] of ``image (B, 3, h, w)``.
 
-    ``focal (B,)`` is fx [px of ``image``], 0 where unknown; models without ``canonical_px`` ignore it.
-    ``pad`` repeats the rows and columns at the edges until both sides are multiples of ``GRID``, as
-    ``predict`` does with frames of another shape than the training's.
+    Args:
+        focal: fx ``(B,)`` [px of ``image``], 0 where unknown; for models with ``canonical_px``, and for
+            files of one lens (``fov``), which refuse another.
+        flip: "mean" averages with the prediction of the mirror image; "none" does not.
+        pad: repeat the rows and columns at the edges until both sides are multiples of
+            :data:`~eldenet.geometry.GRID`, as ``predict`` does with frames of another shape than the
+            training's.
     """
     return _maps(model, image, focal, flip, pad)[0]
 
@@ -64,13 +69,13 @@ def predict_spread(
     flip: str = "none",
     pad: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """Depth as :func:`predict_depth`, and the standard deviation of ln depth; ``(B, 1, h, w)`` each."""
+    """Depth as by :func:`predict_depth`, and the standard deviation of ln depth; ``(B, 1, h, w)`` each."""
     depth, spread = _maps(model, image, focal, flip, pad, with_spread=True)
     return depth, spread
 
 
-def pads(dataset: DepthDataset, image: Tensor) -> bool:
-    """Whether ``predict`` would pad images ``(B, 3, h, w)`` of this size."""
+def is_padded(dataset: DepthDataset, image: Tensor) -> bool:
+    """Whether images ``(B, 3, h, w)`` of ``dataset`` are padded: where ``predict`` would pad them."""
     return dataset.stretch is not None and tuple(image.shape[-2:]) != dataset.input_size
 
 
@@ -85,7 +90,7 @@ def _maps(
         image = F.pad(image, (left, right, top, bottom), mode="replicate")
 
     def run(picture: Tensor) -> list[Tensor]:
-        found = model(picture, *_camera(model, focal), **options)
+        found = model(picture, *_focal_argument(model, focal), **options)
         return [found] if isinstance(found, Tensor) else list(found)
 
     maps = run(image)
@@ -94,8 +99,8 @@ def _maps(
     return [each[..., top : top + height, left : left + width] for each in maps]
 
 
-def _camera(model: nn.Module, focal: Tensor | None) -> tuple[Tensor, ...]:
-    """What ``model`` is given after the image: the focal lengths, if it takes them or is for one lens."""
+def _focal_argument(model: nn.Module, focal: Tensor | None) -> tuple[Tensor, ...]:
+    """What ``model`` is given after the image: the focal lengths, or nothing if it takes none."""
     takes = any(getattr(model, name, None) is not None for name in ("canonical_px", "fov"))
     return (focal,) if focal is not None and takes else ()
 
@@ -116,8 +121,9 @@ def evaluate(
 
     Args:
         model: image ``(B, 3, h, w)`` -> depth ``(B, 1, h, w)`` [m]; its mode is kept. One with
-            ``canonical_px`` also takes the focal length ``(B,)`` [px]. If it has a ``distribution``,
-            ``model(..., with_spread=True)`` also gives the standard deviation of ln depth, which is scored.
+            ``canonical_px`` or ``fov`` also takes the focal lengths ``(B,)`` [px]. If it has a
+            ``distribution``, ``model(..., with_spread=True)`` also gives the standard deviation of ln depth,
+            which is scored.
         dataset: built for evaluation (depth in its own resolution).
         protocol: the rules.
         device: where the model is.
@@ -142,9 +148,9 @@ def evaluate_batches(
     processes: int = 1,
     advance: Callable[[int], object] | None = None,
 ) -> Evaluation:
-    """Score as :func:`evaluate`, with an :func:`~eldenet.data.loaders.evaluation_loader` for several passes.
+    """Score the frames of an :func:`~eldenet.data.loaders.evaluation_loader` as :func:`evaluate` does.
 
-    Of several ``processes``, each has a loader of its share of the frames; all get the whole result.
+    Each of several ``processes`` has a loader of its share of the frames; all get the whole result.
 
     Raises:
         ValueError: as :func:`evaluate`.
@@ -163,7 +169,7 @@ def evaluate_batches(
             image = batch["image"].to(device, memory_format=torch.channels_last)
             focal = batch["intrinsics"][:, 0, 0].to(device)
             depth, mask = batch["depth"].to(device), batch["mask"].to(device)
-            pad = pads(dataset, image)
+            pad = is_padded(dataset, image)
             if meter is None:
                 prediction = predict_depth(model, image, focal, flip=protocol.flip, pad=pad)
             else:
@@ -203,20 +209,24 @@ def _gather_rows(rows: list[Any]) -> list[Any]:
     return [share[i] for i in range(longest) for share in shares if i < len(share)]
 
 
-def sample_rows(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol, rows: int = 4) -> np.ndarray:
-    """Picture ``(H, W, 3)`` uint8 of fixed frames: image, ground truth, prediction, relative error."""
+def picture_of_samples(model: nn.Module, dataset: DepthDataset, protocol: EvalProtocol) -> np.ndarray:
+    """Picture ``(H, W, 3)`` uint8 with a row for each of a few fixed frames.
+
+    A row shows the image, the ground truth, the prediction as it is scored, and the relative error.
+    """
     from eldenet.visualization import PANELS, depth_row, stack_rows
 
     device = device_of(model)
     pictures = []
     with eval_mode(model):
-        for index in range(0, len(dataset), max(1, len(dataset) // rows))[:rows]:
+        for index in range(0, len(dataset), max(1, len(dataset) // PICTURED))[:PICTURED]:
             batch: dict[str, Any] = collate([dataset[index]])
             focal = batch["intrinsics"][:, 0, 0].to(device)
-            shown = batch["image"].to(device)
-            prediction = predict_depth(model, shown, focal, pad=pads(dataset, shown)).cpu()
+            image = batch["image"].to(device)
+            pad = is_padded(dataset, image)
+            prediction = predict_depth(model, image, focal, flip=protocol.flip, pad=pad).cpu()
             valid = protocol.valid_mask(batch["depth"], batch["mask"])
             prediction = protocol.align(prediction, batch["depth"], valid)
-            image = protocol.resize_to_gt(batch["image"], batch["depth"].shape[-2:])
-            pictures.append(depth_row(image[0], batch["depth"][0], batch["mask"][0], prediction[0]))
+            shown = protocol.resize_to_gt(batch["image"], batch["depth"].shape[-2:])
+            pictures.append(depth_row(shown[0], batch["depth"][0], batch["mask"][0], prediction[0]))
     return stack_rows(pictures, PANELS, scales=2)

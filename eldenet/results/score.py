@@ -11,7 +11,7 @@ from eldenet.data.base import DepthDataset
 from eldenet.data.rendered import RenderedScenes
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.cost import CostReport, measure_cost
-from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, Evaluation, evaluate, sample_rows
+from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, Evaluation, evaluate, picture_of_samples
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.evaluation.splits import OwnShape, open_split
 from eldenet.evaluation.uncertainty_metrics import PROTOCOL
@@ -68,9 +68,8 @@ def score(
     write_rows(folder / "per_image.csv", PER_IMAGE_HEADER, result.rows)
     if result.uncertainty is not None:
         write_uncertainty(folder, result.uncertainty, log)
-    log.picture(
-        "predictions", (facts.get("training") or {}).get("step", 0), sample_rows(model, dataset, protocol)
-    )
+    step = (facts.get("training") or {}).get("step", 0)
+    log.picture("predictions", step, picture_of_samples(model, dataset, protocol))
     log.close()
     constant = None if train_set is None else _constant_predictor(train_set, log)
     scored = (dataset, protocol, resources, batch_size, "evaluating the constant predictor", log)

@@ -16,7 +16,7 @@ from torch.optim.lr_scheduler import ReduceLROnPlateau
 from eldenet.data.base import DepthDataset
 from eldenet.data.loaders import EpochSampler, batches_on, evaluation_loader, training_loader
 from eldenet.evaluation.cost import device_of
-from eldenet.evaluation.evaluator import evaluate_batches, sample_rows
+from eldenet.evaluation.evaluator import evaluate_batches, picture_of_samples
 from eldenet.evaluation.metric_names import LOWER_IS_BETTER, METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.geometry import focal_ratio
@@ -561,7 +561,7 @@ class Trainer:
             )
         if self.accelerator.is_main_process:
             self.log.picture(
-                "validation", self.progress.step, sample_rows(model, self.val_set, self.protocol)
+                "validation", self.progress.step, picture_of_samples(model, self.val_set, self.protocol)
             )
         return result.metrics
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from eldenet.data.loaders import collate, evaluation_loader
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.evaluation.constant_baseline import ConstantPredictor
-from eldenet.evaluation.evaluator import evaluate, predict_depth
+from eldenet.evaluation.evaluator import evaluate, picture_of_samples, predict_depth
 from eldenet.evaluation.metric_names import METRICS
 from eldenet.evaluation.protocol import EvalProtocol
 from eldenet.types import Frame
@@ -56,6 +56,17 @@ def test_the_lens_stays_in_the_center_of_what_a_network_sees() -> None:
     for depth in (predicted, predict_depth(model, torch.zeros(1, 3, 24, 40), pad=True)[0, 0]):
         torch.testing.assert_close(depth, depth.flip(0))
         torch.testing.assert_close(depth, depth.flip(1))
+
+
+def test_the_picture_shows_the_prediction_that_is_scored() -> None:
+    """The mean of a ramp and its mirror image is the same everywhere, as ``FOUR_METERS``."""
+    leaning = small_net()
+    leaning.forward = lambda image: torch.linspace(1, 7, 48).expand(len(image), 1, 32, -1)
+    protocol = EvalProtocol("p", ground_truth="dense", flip="mean")
+    shown, wanted = (
+        picture_of_samples(model, SyntheticDepth(1), protocol) for model in (leaning, FOUR_METERS)
+    )
+    np.testing.assert_array_equal(shown, wanted)
 
 
 def test_each_frame_is_scored_once_at_the_size_of_the_ground_truth() -> None:

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from eldenet.compose import compose
 from eldenet.data.kitti import KITTIDepth
 from eldenet.data.loaders import collate_runs
-from eldenet.evaluation.evaluator import evaluate, sample_rows
+from eldenet.evaluation.evaluator import evaluate, picture_of_samples
 from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.train import TrainSettings
 
@@ -161,4 +161,4 @@ def test_frames_of_two_sizes_in_one_evaluation(tmp_path: Path) -> None:
         errors.append(np.abs(prediction - depth)[counts].mean())
     assert four.metrics["mae"] == pytest.approx(np.mean(errors), rel=1e-5)
     assert four.metrics["images"] == len(data)
-    assert sample_rows(Ramp(), data, rules).shape[2] == 3
+    assert picture_of_samples(Ramp(), data, rules).shape[2] == 3

@@ -155,6 +155,11 @@ def test_the_temperature_corrects_a_sigma_that_is_too_small(distribution: str, m
         fit_temperature(model, frames, protocol)
 
 
+def test_a_network_without_sigma_has_no_temperature() -> None:
+    with pytest.raises(ValueError, match="this network predicts no sigma"):
+        fit_temperature(small_net(), MagicMock(), EvalProtocol("p"))
+
+
 def test_measures_compare_the_inverse_depth_where_the_metrics_do() -> None:
     model = Constant("laplace")
     model.distribution = "laplace"

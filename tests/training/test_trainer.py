@@ -9,7 +9,7 @@ from support.synthetic import SyntheticDepth
 from support.training import PROTOCOL, Stopped, fit, make_trainer
 
 import eldenet
-from eldenet.evaluation.evaluator import evaluate, sample_rows
+from eldenet.evaluation.evaluator import evaluate, picture_of_samples
 from eldenet.losses.base import WeightedSum, WeightedTerm
 from eldenet.losses.pointwise import L1Loss
 from eldenet.results.run_log import RunLog
@@ -159,7 +159,7 @@ def test_tensorboard_keeps_every_epoch(tmp_path):
     time.sleep(1.1)  # tensorboard orders its files by the second they were begun in, then by a number as text
     _, model, _ = fit(tmp_path, ckpt_path=tmp_path)
     log = RunLog(tmp_path)  # as the command does, once training is over
-    log.picture("predictions", 8, sample_rows(model, SyntheticDepth(2), PROTOCOL))
+    log.picture("predictions", 8, picture_of_samples(model, SyntheticDepth(2), PROTOCOL))
     log.close()
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
