@@ -25,7 +25,7 @@ _CHOICES = {
     "flip": ("none", "mean"),
 }
 LARGEST_DEPTH = 1000.0  # [m] that a camera's ground truth can have; more is in another unit
-_PIXELS = {"crop": 4, "size": 2, "frame_box": 4, "frame_crop": 2, "frame_size": 2}  # how many each takes
+_PIXELS = {"crop": 4, "size": 2, "frame_box": 4, "frame_crop": 2, "frame_size": 2}  # field -> its numbers
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,10 @@ class EvalProtocol:
         frame_size: ``(height, width)`` of a last resize of the frame, after ``frame_crop`` [px]; None: none.
         paste: ``frame_crop`` is for the image alone: the ground truth stays whole, the prediction is put back
             into its place, and pixels that the network did not see are not scored.
-        crop: box that is scored, ``(top, bottom, left, right)`` [px of the ground truth], ends excluded.
-        crop_fractions: the same box as fractions of the ground truth's own height and width, rounded down
-            to whole pixels, for frames of several sizes.
+        crop: box that is scored, ``(top, bottom, left, right)`` [px of the ground truth], ends excluded, such
+            as NYU's Eigen crop; None: all, or ``crop_fractions``.
+        crop_fractions: the box that is scored, as fractions of the ground truth's own height and width,
+            rounded down to whole pixels, for frames of several sizes, such as KITTI's Garg and Eigen crops.
         size: the ground truth's ``(height, width)`` [px] that ``crop`` refers to; another size is an error.
         interpolation: how a prediction is resized to the ground truth's size: "bilinear" (corners not
             aligned), "bilinear_corners" (corners aligned) or "nearest" (to the pixels' centers).
@@ -106,6 +107,8 @@ class EvalProtocol:
             value = getattr(self, field)
             if value is not None and len(value) != count:
                 yield f"{field}={tuple(value)}, give {count} numbers [px]"
+        if self.crop is not None and self.crop_fractions is not None:
+            yield f"crop={self.crop}, crop_fractions={self.crop_fractions}: give one of them, the other null"
         if self.crop is not None and self.size is None:
             yield f"crop={self.crop} needs size, the ground truth's (height, width)"
         for field, limits, where in (
@@ -242,8 +245,8 @@ class EvalProtocol:
     ) -> "Tensor":
         """Resize and scale the standard deviation of ln depth of a raw ``prediction``, as :meth:`align`.
 
-        A factor leaves it as it is; a shift changes the value that the same sigma is a share of. Where the
-        fit takes little of the prediction, sigma tends to 0 too.
+        A factor multiplies sigma and depth alike, so their ratio stays. A shift moves depth alone. Where a
+        fit's factor is near 0, sigma is too.
         """
         spread = self.resize_to_gt(spread, depth.shape[-2:])
         if self.scale not in ("affine_depth", "affine_disparity"):
@@ -253,7 +256,7 @@ class EvalProtocol:
         if self.scale == "affine_disparity":
             prediction, aligned, depth = 1 / prediction.clamp(min=self.min_depth), 1 / aligned, 1 / depth
         factor = _fit(prediction, depth, valid)[0].to(spread.dtype)
-        # a constant prediction is replaced by the mean, whose sigma no factor tells
+        # factor 0: a constant prediction, which the truth's mean replaces; its sigma stays
         return spread * (factor * prediction / aligned).abs().where(factor != 0, 1.0)
 
     def to_metric_space(self, prediction: "Tensor", depth: "Tensor") -> tuple["Tensor", "Tensor"]:
@@ -293,9 +296,9 @@ def _fit(prediction: "Tensor", truth: "Tensor", valid: "Tensor") -> tuple["Tenso
         factor, shift = image.new_ones((), dtype=torch.float64), image.new_zeros((), dtype=torch.float64)
         if known.any():
             x, y = image[known].double(), target[known].double()
-            spread = (x - x.mean()).square().sum()
-            # a constant prediction becomes the mean
-            factor = ((x - x.mean()) * (y - y.mean())).sum() / spread if spread > 0 else spread
+            squares = (x - x.mean()).square().sum()
+            # a constant prediction gets the factor 0, and becomes the truth's mean
+            factor = ((x - x.mean()) * (y - y.mean())).sum() / squares if squares > 0 else squares
             shift = y.mean() - factor * x.mean()
         factors.append(factor)
         shifts.append(shift)

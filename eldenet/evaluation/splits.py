@@ -18,7 +18,7 @@ logger = logging.getLogger("eldenet")
 
 
 class Splits(NamedTuple):
-    """The three parts of a data set: the first for training, the last with its own ground truth."""
+    """The three parts of a data set: one resized for training, and two with their own ground truth."""
 
     train: DepthDataset
     val: DepthDataset
@@ -82,7 +82,7 @@ def open_split(
         split: "train", "val" or "test".
         protocol: whose frame geometry (resize, crop) is applied first.
         augmentation: settings of what follows, for training; None or empty: nothing.
-        score: keep the ground truth's own resolution, as "val" and "test" always do.
+        score: keep the ground truth's own resolution in "train" too, and read frames at their full size.
         seed: of the augmentation.
         input_size: ``(height, width)`` [px] that the network sees, or :class:`OwnShape`; None: what ``data``
             says.
@@ -143,7 +143,7 @@ def open_split(
 
 
 def _refuse_unknown(frames: DepthDataset, protocol: EvalProtocol, *, scored: bool) -> None:
-    """Raise ValueError if no frame has a pixel that counts; one frame is read where the first one has."""
+    """Raise ValueError if no frame has a pixel that counts; frames are read until one has."""
     for sample in map(frames.__getitem__, range(len(frames))):
         depth, mask = sample["depth"][None], sample["mask"][None]
         # valid_mask raises where the protocol's crop does not fit the frame or its ground truth

@@ -46,11 +46,11 @@ class UncertaintyScores:
 
 @dataclass(frozen=True)
 class ImageUncertainty:
-    """Measures of one image: see :class:`UncertaintyScores`."""
+    """Measures of one image."""
 
-    values: tuple[float, ...]
-    curves: dict[str, np.ndarray]
-    coverage: np.ndarray
+    values: tuple[float, ...]  # in the order of UNCERTAINTY_METRICS
+    curves: dict[str, np.ndarray]  # as in UncertaintyScores
+    coverage: np.ndarray  # share of pixels inside the intervals of RELIABILITY_LEVELS
 
 
 def score_image(
@@ -78,13 +78,16 @@ def score_image(
         area["rmse"],
         kept,
         *shares[: len(LEVELS)],
-        float(log_density(log_error, spread, distribution)),
+        float(mean_nll(log_error, spread, distribution)),
     )
     return ImageUncertainty(values, curves, np.array(shares[len(LEVELS) :]))
 
 
 def sparsification(error: np.ndarray, uncertainty: np.ndarray) -> np.ndarray:
-    """Curves ``(2, steps + 1)`` of the mean ``error (N,)`` left, relative to all of it: own and oracle's."""
+    """Curves ``(2, steps + 1)`` of the mean ``error (N,)`` that is left over that of all pixels.
+
+    The first removes pixels by their ``uncertainty``, the second, the oracle's, by their error.
+    """
     count = len(error)
     left = [round(count * (1 - step / STEPS)) for step in range(STEPS)]
     whole = max(float(error.mean()), 1e-12)
@@ -95,7 +98,7 @@ def sparsification(error: np.ndarray, uncertainty: np.ndarray) -> np.ndarray:
     return curves
 
 
-def log_density(log_error: np.ndarray, spread: np.ndarray, distribution: str) -> np.floating[Any]:
+def mean_nll(log_error: np.ndarray, spread: np.ndarray, distribution: str) -> np.floating[Any]:
     """Mean negative log-likelihood of ln depth ``(N,)``, as in :mod:`eldenet.losses.likelihood`."""
     if distribution == "laplace":
         scale = spread / math.sqrt(2)

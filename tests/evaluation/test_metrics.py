@@ -186,6 +186,7 @@ def test_a_prediction_that_is_not_finite_is_an_error(value: float, clamp: bool) 
         ({"frame_crop": (352,)}, "give 2 numbers"),
         ({"crop_fractions": (0.5, 0.4, 0.0, 1.0)}, "crop_fractions=.* between 0 and 1"),
         ({"crop_fractions": (0.1, 0.4, 0.0)}, "crop_fractions=.* between 0 and 1"),
+        ({"crop": (0, 1, 0, 1), "size": (2, 2), "crop_fractions": (0, 1, 0, 1)}, "give one of them"),
         ({"frame_box": (0, 5, 9, 5)}, "frame_box=.* must be"),
         ({"frame_anchor": "top"}, "frame_anchor='top', choose one of"),
         ({"paste": True}, "paste=True .* give frame_crop"),
