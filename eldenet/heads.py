@@ -19,7 +19,7 @@ class Head(Configurable, nn.Module):
     Attributes:
         channels: of the raw map.
         distribution: of the error in ln depth, "laplace" or "gaussian"; None: the head predicts no sigma.
-        lengths: arguments that grow with all depth.
+        lengths: arguments that :meth:`rescaled` multiplies.
 
     Args:
         min_depth: [m].
@@ -52,7 +52,7 @@ class Head(Configurable, nn.Module):
         raise ValueError(NO_SIGMA)
 
     def rescaled(self, factor: float) -> Self:
-        """Return a head of the same kind whose depth is ``factor`` times this one's; so is its range."""
+        """Return a head of the same kind whose depth and range are ``factor`` times this one's."""
         settings: dict[str, Any] = {name: value for name, value in self.config.items() if name != "_target_"}
         settings |= {name: settings[name] * factor for name in self.lengths}
         return type(self)(**settings)
@@ -112,7 +112,7 @@ class ScaledHead(Head):
 
 
 class UncertainHead(Head):
-    """Depth by another head, and how far it may be off: a second raw channel is the scale of the error.
+    """Depth by another head, and how far it may be off: a second raw channel gives the scale of the error.
 
     The error of ln depth follows a Laplace or a normal distribution whose scale each pixel has for itself
     (Kendall & Gal, "What Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS
@@ -188,7 +188,7 @@ def add_channels(network: nn.Module, count: int) -> None:
     assert isinstance(conv, nn.Conv2d)
     norms = [p for p in parts[places[-1] :] if isinstance(p, nn.BatchNorm2d) and p.num_features == 1]
     new = torch.zeros(count, *conv.weight.shape[1:])
-    if norms:  # of zeros it would have no scale
+    if norms:  # they cannot normalize maps of zeros
         nn.init.kaiming_normal_(new)
     conv.out_channels += count
     conv.weight = nn.Parameter(torch.cat([conv.weight.detach(), new]))

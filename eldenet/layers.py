@@ -14,7 +14,7 @@ class DepthwiseConv2d(nn.Conv2d):
     """
 
     def forward(self, input: Tensor) -> Tensor:
-        """``(B, C, H, W) -> (B, C, ceil(H / stride), ceil(W / stride))``."""
+        """``(B, C, H, W)`` -> the shape that :class:`torch.nn.Conv2d` gives."""
         if input.device.type == "cpu" and torch.is_autocast_enabled("cpu"):
             with torch.autocast("cpu", enabled=False):
                 return super().forward(input.float())
@@ -66,12 +66,12 @@ class SqueezeExcite(nn.Module):
     Hu et al., "Squeeze-and-Excitation Networks" (CVPR 2018), with MobileNetV3's hard sigmoid as the gate.
 
     Args:
-        channels: C, a multiple of 4, to a fourth of which they are squeezed.
+        channels: C, a multiple of 4; the squeeze keeps a fourth of them.
     """
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        # this module exports as GlobalAveragePool, which every runtime has; x.mean((2, 3)) does not
+        # it exports as GlobalAveragePool, which every runtime has; x.mean((2, 3)) does not
         self.pool = nn.AdaptiveAvgPool2d(1)
         self.reduce = nn.Conv2d(channels, channels // 4, 1)
         self.activation = nn.ReLU()

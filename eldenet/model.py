@@ -26,7 +26,7 @@ from eldenet.uncertainty import DepthEstimate
 from eldenet.weights.model_card import MARK, model_card, summary
 
 CONFIG_NAME, WEIGHTS_NAME, CARD_NAME = "config.json", "model.safetensors", "README.md"
-SIZES = ("input_size", "whole_frame_size")  # entries of info
+SIZES = ("input_size", "whole_frame_size")  # entries of info that are (height, width) [px]
 
 
 class EncoderDecoder(Configurable, nn.Module):
@@ -36,7 +36,7 @@ class EncoderDecoder(Configurable, nn.Module):
         backbone: image ``(B, 3, H, W)``, normalized -> features, finest first.
         decoder: a decoder, or its class or a ``functools.partial`` of it (``_partial_: true`` in YAML), which
             gets ``feature_info`` from the backbone.
-        rays: optional, what tells the features the lens; given as the decoder.
+        rays: optional; tells the features the lens. Given in the same three ways as the decoder.
     """
 
     def __init__(
@@ -54,14 +54,14 @@ class EncoderDecoder(Configurable, nn.Module):
             self.config["rays"] = self.rays.config
 
     def forward(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
-        """Normalized image ``(B, 3, H, W)``, fx ``(B,)`` [px] for rays -> raw map ``(B, 1, h, w)``."""
+        """Normalized image ``(B, 3, H, W)``, fx ``(B,)`` [px], used by rays -> raw map ``(B, 1, h, w)``."""
         features = self.backbone(image)
         if self.rays is not None and focal is not None:
             features = self.rays(features, image.shape[-2:], focal)
         raw = self.decoder(features)
         rows, cols = (-(-side // self.decoder.stride) for side in image.shape[-2:])
-        # decoders do not know the image size: a map finer than the finest feature may exceed an odd one. The
-        # shapes alone would not do: an export at any size keeps the branch that its example takes
+        # a map finer than the finest feature can be larger than an odd-sized image: cut it. Do not decide by
+        # the shapes alone: an export at any size would freeze the example's answer
         finer = self.decoder.stride < min(info.stride for info in self.backbone.feature_info)
         return raw[..., :rows, :cols] if finer or raw.shape[-2:] != (rows, cols) else raw
 
@@ -273,10 +273,10 @@ class DepthNet(Configurable, nn.Module):
 
         Raises:
             FileNotFoundError: neither a folder with both files nor a reachable Hub id.
-            ValueError: the config is damaged or names something untrusted, or the weights are damaged (they
-                do not match the config's digest) or do not fit.
+            ValueError: ``source`` is a file, the config is damaged or names something untrusted, or the
+                weights are damaged (they do not match the config's digest) or do not fit.
         """
-        folder = _local_folder(source, revision)
+        folder = _folder_or_download(source, revision)
         config = _read_config(folder)
         model = build(config["model"], trusted_modules)
         if not isinstance(model, cls):
@@ -332,16 +332,22 @@ def size_of_frames(info: Mapping[str, Any]) -> tuple[int, int] | None:
 
 
 def merge_info(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``old`` facts about weights updated by ``new`` ones; an ``input_size`` drops the frame size."""
-    outdated = {"whole_frame_size"} if "input_size" in new else set()
-    return {name: value for name, value in old.items() if name not in outdated} | dict(new)
+    """Return ``old`` facts about weights updated by ``new`` ones.
+
+    A new ``input_size`` also removes the old ``whole_frame_size``.
+    """
+    outdated = "whole_frame_size" if "input_size" in new else None
+    return {name: value for name, value in old.items() if name != outdated} | dict(new)
 
 
-def _local_folder(source: str | Path, revision: str | None) -> Path:
+def _folder_or_download(source: str | Path, revision: str | None) -> Path:
+    """Return the folder that holds ``source``: a local one, or the downloaded files of a Hub id."""
     folder = Path(source)
     if folder.is_dir():
         in_run = folder / "model"
-        return _complete(in_run if (in_run / CONFIG_NAME).is_file() else folder, folder)
+        folder = in_run if (in_run / CONFIG_NAME).is_file() else folder
+        _check_complete(folder, source)
+        return folder
     if folder.is_file():
         raise ValueError(
             f"{source} is a file: give a run folder or a saved model; exported files are for eldenet predict "
@@ -364,7 +370,7 @@ def _local_folder(source: str | Path, revision: str | None) -> Path:
             f"there is no folder {source}, and the Hub does not give it ({reason}): give a run "
             "folder, a model folder, a Hub id or packaged weights (eldenet.list_weights())"
         ) from error
-    _complete(folder, source)
+    _check_complete(folder, source)
     info = _read_config(folder)["info"]
     print_note(f"{source}: {summary(info)}; https://huggingface.co/{source}")
     return folder
@@ -388,7 +394,8 @@ def _read_config(folder: Path) -> dict[str, Any]:
     return config
 
 
-def _complete(folder: Path, source: str | Path) -> Path:
+def _check_complete(folder: Path, source: str | Path) -> None:
+    """Raise FileNotFoundError unless ``folder``, where ``source`` lies, holds the config and the weights."""
     missing = [name for name in (CONFIG_NAME, WEIGHTS_NAME) if not (folder / name).is_file()]
     runs = sorted(Path(source).glob(f"*/model/{CONFIG_NAME}"))  # as in the folder of a sweep
     if missing and runs:
@@ -396,7 +403,6 @@ def _complete(folder: Path, source: str | Path) -> Path:
         raise FileNotFoundError(f"{source} holds {len(runs)} runs: give one of them, such as {run}")
     if missing:
         raise FileNotFoundError(f"{source} is not an eldenet model folder: it has no {' or '.join(missing)}")
-    return folder
 
 
 @contextmanager

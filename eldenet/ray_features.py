@@ -13,13 +13,13 @@ class RayFeatures(Configurable, nn.Module):
     """Scales and shifts the deep features by what two 1x1 convolutions make of their rays.
 
     The rays are as in CAM-Convs (Facil et al. 2019), the scale and shift as in FiLM (Perez et al. 2018). The
-    principal point counts as the picture's center. For an unknown lens features stay as they are, and at the
-    start for any.
+    principal point counts as the picture's center. For an unknown lens the features stay as they are; before
+    the training, for every lens.
 
     Args:
         feature_info: channels and strides of the features; :class:`~eldenet.model.EncoderDecoder` gives it.
         hidden: channels between the two convolutions.
-        least_stride: finer features stay as they are; each more takes time.
+        least_stride: features of a smaller stride stay as they are, which saves time.
         typical_focal: a usual focal length [px of the network's image], at which the input ln(fx) is 0.
         unknown: share of the training's pictures whose lens it is not told.
     """
@@ -59,12 +59,12 @@ class RayFeatures(Configurable, nn.Module):
         return found
 
     def _rays(self, feature: Tensor, size: tuple[int, int], focal: Tensor) -> Tensor:
-        """Of each cell ``(B, 4, h, w)``: tangents to the right, down and off the axis, and ln of the lens."""
+        """Of each cell ``(B, 4, h, w)``: tangents right and down, ln of the lens, tangent off the axis."""
         batch, _, height, width = feature.shape  # not len(): an export at any size would keep its example's
         y, x = (
             (torch.arange(cells, device=feature.device) + 0.5) * (side / cells) - side / 2
             for cells, side in zip((height, width), size, strict=True)
         )
         right, down = x.view(1, 1, 1, -1) / focal, y.view(1, 1, -1, 1) / focal
-        parts = (right, down, (focal / self.typical_focal).log(), (right**2 + down**2).sqrt())
+        parts = right, down, (focal / self.typical_focal).log(), (right**2 + down**2).sqrt()
         return torch.cat([part.expand(batch, 1, height, width) for part in parts], 1)
