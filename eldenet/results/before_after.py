@@ -51,13 +51,12 @@ def compare(metric: str, before: Sequence[float], after: Sequence[float]) -> Cha
 
     Frames that follow each other look alike, so the bootstrap draws ``BLOCKS`` stretches of them, not frames.
     """
-    one, other = np.asarray(before, np.float64), np.asarray(after, np.float64)
-    known = np.isfinite(one) & np.isfinite(other)
-    block = (np.arange(len(one)) * BLOCKS // len(one))[known]
-    one, other = one[known], other[known]
-    change = other - one
-    low, high = mean_interval(change, block, draws=DRAWS)
-    return Change(metric, float(one.mean()), float(other.mean()), low, high, len(one))
+    old, new = np.asarray(before, np.float64), np.asarray(after, np.float64)
+    known = np.isfinite(old) & np.isfinite(new)
+    stretches = (np.arange(len(old)) * BLOCKS // len(old))[known]
+    old, new = old[known], new[known]
+    low, high = mean_interval(new - old, stretches, draws=DRAWS)
+    return Change(metric, float(old.mean()), float(new.mean()), low, high, len(old))
 
 
 def check_scale(scale: float, settings: str, *, force: bool = False) -> None:
@@ -118,7 +117,7 @@ def record_change(
     weights: str,
     facts: Mapping[str, Any],
 ) -> bool:
-    """Write ``model/`` and ``run.json``, say whether the change is kept, and return it.
+    """Write ``model/`` and ``run.json``; say and return whether the change is kept.
 
     Args:
         folder: of the run.
@@ -130,13 +129,13 @@ def record_change(
         facts: what was done, for ``run.json``.
     """
     kept = is_improvement(changes)
-    told = {name: vars(change) for name, change in changes.items()}
+    held_out = {name: vars(change) for name, change in changes.items()}
     if kept:
         changed.info = {name: fact for name, fact in changed.info.items() if name not in MEASURED}
-        changed.save_pretrained(folder / "model", info={"adapted_from": weights, "held_out": told})
+        changed.save_pretrained(folder / "model", info={"adapted_from": weights, "held_out": held_out})
     else:
         start.save_pretrained(folder / "model")
-    record = {"weights": weights, "weights_sha256": fingerprint(weights), "kept": kept, "held_out": told}
+    record = {"weights": weights, "weights_sha256": fingerprint(weights), "kept": kept, "held_out": held_out}
     write_json(folder / RUN_FILE, {**record, **facts, **environment()})
     verdict = "kept: the held-out frames are better, and the interval excludes 0"
     if not kept:

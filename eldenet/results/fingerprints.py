@@ -49,8 +49,8 @@ def differences(
     found = []
     for key in dict.fromkeys([*ours, *theirs]):
         mine, other = ours.get(key), theirs.get(key)
-        value = not (isinstance(mine, Mapping) and isinstance(other, Mapping))
-        if key in NOT_COMPARED or (key in ignored and value):
+        is_section = isinstance(mine, Mapping) and isinstance(other, Mapping)
+        if key in NOT_COMPARED or (key in ignored and not is_section):
             continue
         if not (key in ours and key in theirs):
             if name in ("", "data"):
@@ -104,7 +104,7 @@ def run_differences(
     """
     theirs = record.get("config", {})
     recorded = record.get("sources", {})
-    plan, given = given is not None, given or frozenset()
+    is_plan, given = given is not None, given or frozenset()
     names = frozenset(setting.rpartition(".")[2] for setting in given)
     found = differences(config, theirs, ignored=KEYS | ignored | names)
     ours, there = sources_of(config), sources_of(theirs)
@@ -117,7 +117,8 @@ def run_differences(
             found.append(f"{name}={mine} (there {other})")
             continue
         content = fingerprint(mine)
-        if (not plan and mine != other) if wanted is None else content not in (None, wanted):
+        other_path = mine != other and not is_plan  # counts where the run did not record the content
+        if other_path if wanted is None else content not in (None, wanted):
             found.append(f"{name}={mine} (content {content}; there {other}, content {wanted})")
     return found
 

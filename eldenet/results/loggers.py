@@ -32,7 +32,7 @@ class Logger(Protocol):
 
 
 class TensorBoard:
-    """Event files in ``<folder>/tensorboard``; points from ``first_step`` on, of a killed process, go."""
+    """Event files in ``<folder>/tensorboard``, without a killed process's points from ``first_step`` on."""
 
     def __init__(self, folder: Path, first_step: int | None) -> None:
         from torch.utils.tensorboard import SummaryWriter
@@ -64,9 +64,9 @@ class MLflow:
 
         def start() -> str:
             found = self.client.get_experiment_by_name(PROJECT)
-            place = None if "MLFLOW_TRACKING_URI" in os.environ else (folder / "mlflow").resolve().as_uri()
-            number = found.experiment_id if found else self.client.create_experiment(PROJECT, place)
-            return str(self.client.create_run(number, run_name=folder.name).info.run_id)
+            files = None if "MLFLOW_TRACKING_URI" in os.environ else (folder / "mlflow").resolve().as_uri()
+            experiment = found.experiment_id if found else self.client.create_experiment(PROJECT, files)
+            return str(self.client.create_run(experiment, run_name=folder.name).info.run_id)
 
         self.run = _own_id(folder, "mlflow", start)
 

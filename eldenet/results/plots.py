@@ -11,10 +11,10 @@ from eldenet.system.files import part_file
 
 
 def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool = False) -> list[int]:
-    """Indices of the points ``(latency, metric)`` on the Pareto front, fastest first."""
+    """Indices of the points ``(cost, metric)`` on the Pareto front, the cheapest first."""
     front: list[int] = []
     best, sign = float("-inf"), -1 if lower_is_better else 1
-    for index in sorted(range(len(points)), key=lambda place: (points[place][0], -sign * points[place][1])):
+    for index in sorted(range(len(points)), key=lambda i: (points[i][0], -sign * points[i][1])):
         if sign * points[index][1] > best:
             front.append(index)
             best = sign * points[index][1]
@@ -22,7 +22,7 @@ def pareto_front(points: Sequence[tuple[float, float]], *, lower_is_better: bool
 
 
 def pyplot_for_files() -> Any:
-    """Matplotlib without a display; a name with dollar signs is a name, not a formula."""
+    """Return matplotlib's pyplot, set to draw without a display and to take dollar signs for text."""
     require("plots", "matplotlib")
     import matplotlib
 
@@ -34,7 +34,7 @@ def pyplot_for_files() -> Any:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a plot as PNG of 128 colors, a third of the bytes: the same bytes for the same runs."""
+    """Write a plot as PNG and close it. The same plot gives the same bytes; 128 colors save two thirds."""
     from PIL import Image
 
     picture = BytesIO()
@@ -52,7 +52,15 @@ def pareto_plot(
     cost: str,
     lower_is_better: bool,
 ) -> None:
-    """Plot rows ``(name, cost, metric)``: one color per block, its Pareto front as a line."""
+    """Plot the rows ``(name, cost, metric)`` of each block: one color per block, its Pareto front a line.
+
+    Args:
+        path: of the PNG.
+        blocks: name of a block -> its rows.
+        metric: label of the upward axis.
+        cost: label of the other one.
+        lower_is_better: for the metric.
+    """
     from matplotlib.ticker import LogLocator
 
     pyplot = pyplot_for_files()
@@ -60,7 +68,7 @@ def pareto_plot(
     colors: dict[str, Any] = {}
     for block, rows in blocks.items():
         points = [(row[1], row[2]) for row in rows]
-        front = [points[place] for place in pareto_front(points, lower_is_better=lower_is_better)]
+        front = [points[i] for i in pareto_front(points, lower_is_better=lower_is_better)]
         line = axes.plot(*zip(*front, strict=True), "-", linewidth=1)[0]
         axes.plot(*zip(*points, strict=True), "o", color=line.get_color(), label=block)
         colors |= {row[0]: line.get_color() for row in rows}
@@ -83,8 +91,8 @@ def name_points(
 ) -> None:
     """Write each name right of its last or left of its first point ``(x, y)``, the highest names first.
 
-    Names stay within the axes and clear of other names, points and the legend, where there is room. Call this
-    last: it measures what is drawn.
+    Where there is room, names stay clear of other names, points and the legend, and leave the axes at the top
+    only. Call this last: it measures what is drawn.
     """
     axes.figure.draw_without_rendering()  # limits and layout are settled from here on
     inside, legend = axes.get_window_extent(), axes.get_legend()
@@ -93,10 +101,10 @@ def name_points(
         others = [point for other in points if other != name for point in points[other]]
         pixels = axes.transData.transform(others) if others else []
         for right, up in ((4, 4), (4, -9), (6, -2), (-4, 4), (-4, -9), (-6, -2)):
-            place, side = (max(own), "left") if right > 0 else (min(own), "right")
+            point, side = (max(own), "left") if right > 0 else (min(own), "right")
             note = axes.annotate(
                 name,
-                place,
+                point,
                 xytext=(right, up),
                 textcoords="offset points",
                 fontsize=7,
@@ -110,7 +118,7 @@ def name_points(
                 break
             note.remove()
         else:
-            axes.add_artist(note)  # no place is free: keep the last one
+            axes.add_artist(note)  # there is no room: the last one stays
         taken.append(box)
 
 
@@ -123,7 +131,7 @@ def differences_plot(
 ) -> None:
     """Plot each row's difference to the reference row with its interval, the best on top.
 
-    Each block has a panel; ``references`` names its reference row.
+    Each of the ``blocks`` (name -> row -> difference) has a panel; ``references`` names its reference row.
     """
     pyplot = pyplot_for_files()
     heights = [len(rows) for rows in blocks.values()]
@@ -138,10 +146,10 @@ def differences_plot(
         best_last = sorted(
             rows.items(), key=lambda row: row[1].mean, reverse=next(iter(rows.values())).lower_is_better
         )
-        for place, (_, found) in enumerate(best_last):
+        for height, (_, found) in enumerate(best_last):
             color = {"better": "C2", "worse": "C3"}.get(found.verdict, "C0")
-            axis.plot((found.low, found.high), (place, place), "-" if found.seeds else ":", color=color)
-            axis.plot(found.mean, place, "o", color=color, markersize=4)
+            axis.plot((found.low, found.high), (height, height), "-" if found.seeds else ":", color=color)
+            axis.plot(found.mean, height, "o", color=color, markersize=4)
         axis.axvline(0, color="black", linewidth=0.8)
         axis.set_yticks(range(len(best_last)), [name for name, _ in best_last], fontsize=7)
         axis.set_ylim(-0.7, len(best_last) - 0.3)

@@ -67,6 +67,10 @@ class RunLog:
             self._open = [LOGGERS[name](self.folder, self._first_step) for name in self.loggers]
         return self._open
 
+    def _writing(self) -> AbstractContextManager[None]:
+        """Say that the loggers could not write, where a disk is full or must not be written."""
+        return writing(self.folder, f"the log of {', '.join(self.loggers)}")
+
     def say(self, text: str) -> None:
         """Print one line: brackets are no markup, and long paths are not wrapped."""
         self.console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
@@ -74,7 +78,7 @@ class RunLog:
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Write scalars under their names."""
         if not self.quiet:
-            with writing(self.folder, "the log of TensorBoard"):
+            with self._writing():
                 for logger in self._opened():
                     logger.scalars(step, values)
 
@@ -83,7 +87,7 @@ class RunLog:
         if not self.quiet:
             from eldenet.visualization import write_picture
 
-            with writing(self.folder, "the log of TensorBoard"):
+            with self._writing():
                 for logger in self._opened():
                     logger.picture(name, step, picture)
             write_picture(self.folder / f"{name}.png", picture)
@@ -134,7 +138,7 @@ class RunLog:
 
     def close(self) -> None:
         """Close the loggers."""
-        with writing(self.folder, "the log of TensorBoard"):
+        with self._writing():
             for logger in self._open or ():
                 logger.close()
         self._open = None

@@ -67,7 +67,7 @@ def number(name: str, value: float | None) -> str:
 def is_busy(name: str, costs: Sequence[Mapping[str, Any]]) -> bool:
     """Return whether the times ``name`` of one network say nothing, because other jobs had the processors.
 
-    They waited while they were timed, or differ by more than 1.5 times.
+    They waited while they were timed, or differ by more than ``BUSY`` times.
     """
     if name not in TIMES:
         return False

@@ -1,5 +1,6 @@
 """Curves and pictures in each logger, with the real library and nothing sent anywhere."""
 
+import errno
 import sys
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from eldenet.results.loggers import LOGGERS
 from eldenet.results.run_log import RunLog
+from eldenet.system.errors import DiskError
 
 PICTURE = np.full((8, 12, 3), 90, np.uint8)
 
@@ -59,6 +61,15 @@ def test_trackio_keeps_a_local_run(tmp_path, monkeypatch):
     pytest.importorskip("trackio")
     log_twice(tmp_path / "run", "trackio")
     assert list((tmp_path / "trackio").rglob("*.db"))
+
+
+def test_a_full_disk_names_the_logger(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "")
+
+    monkeypatch.setitem(LOGGERS, "mlflow", full)
+    with pytest.raises(DiskError, match="the log of mlflow was not written"):
+        RunLog(tmp_path, loggers=("mlflow",)).scalars(0, {"loss": 1.0})
 
 
 def test_a_missing_library_is_named(tmp_path, monkeypatch):
