@@ -18,7 +18,7 @@ NEEDED = (
     *("cost.height", "cost.width", "cost.params", "cost.gmacs"),
     *("versions.torch", "hardware.processor", "resources.precision"),
 )
-_NEEDED = re.compile(r"\{runs\}/([\w./-]+)")
+_OTHER_RUN = re.compile(r"\{runs\}/([\w./-]+)")  # in an override: the run of another row
 
 
 def run_overrides(shared: Sequence[str], folder: Path, runs: Path, *, name: str, seed: int) -> list[str]:
@@ -31,9 +31,9 @@ def run_overrides(shared: Sequence[str], folder: Path, runs: Path, *, name: str,
 
 
 def refuse_missing(row: StudyRow, runs: Path, seed: int) -> None:
-    """Raise FileNotFoundError if another row, whose weights a row starts or learns from, has not been run."""
+    """Raise FileNotFoundError if a run is missing whose weights the row starts or learns from."""
     texts = [text.replace("{seed}", str(seed)) for text in row.overrides]
-    needed = [Path(runs / name).resolve() for text in texts for name in _NEEDED.findall(text)]
+    needed = [Path(runs / name).resolve() for text in texts for name in _OTHER_RUN.findall(text)]
     missing = [path for path in needed if not (path / RUN_FILE).is_file()]
     if missing:
         raise FileNotFoundError(
@@ -72,9 +72,9 @@ def search_differences(
     record: Mapping[str, Any],
     given: frozenset[str] | None = None,
 ) -> list[str]:
-    """Differences between a search for a learning rate and the search behind a stored choice, in words.
+    """Differences, in words, between the search for a learning rate that is asked for and a stored one.
 
-    ``trial`` are the resolved settings of a trial; ``given`` is that of
+    ``trial`` are the resolved settings of a trial, ``record`` is the stored choice; ``given`` is that of
     :func:`~eldenet.results.fingerprints.run_differences`.
     """
     rule = record["rule"]

@@ -21,6 +21,7 @@ RATE = "optimizer.lr"  # the setting that `learning_rate` and `learning_rates` s
 PLOTS, EPOCHS = ("pareto", "differences"), ("chosen", "last")
 # a setting that must be given -> the table's "... not given"; "data" for any other
 WORDS = {"weights": "weights", "model.backbone.pretrained": "weights", "teacher": "teacher"}
+_ROW_NAME = re.compile(r"\w[\w.+-]*")
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class Study:
     @property
     def name(self) -> str:
         """Name of the folder, also where that is given as ``.``."""
-        return _name(self.folder)
+        return _folder_name(self.folder)
 
     def chosen(self, names: Sequence[str] | str | None) -> list[StudyRow]:
         """The rows of these names in the plan's order; None: all.
@@ -154,7 +155,7 @@ def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
     rows = []
     for name, entry in described.items():
         where = f"{path}: row {name}"
-        if not _NAME.fullmatch(str(name)):  # it names folders, and stands in overrides
+        if not _ROW_NAME.fullmatch(str(name)):  # it names folders, and stands in overrides
             raise ValueError(f"{where}: give a name of letters, digits and ._+-")
         if not isinstance(entry, dict | None):
             raise ValueError(f"{where}: give a mapping, such as {{overrides: [model=eldenet]}}")
@@ -188,7 +189,7 @@ def read_study(folder: str | Path, _readers: tuple[str, ...] = ()) -> Study:
     return study
 
 
-def _name(folder: Path) -> str:
+def _folder_name(folder: Path) -> str:
     return Path(os.path.abspath(folder)).name
 
 
@@ -196,7 +197,7 @@ def _taken_row(path: Path, name: str, entry: Mapping[str, Any], readers: tuple[s
     """A row of another study beside this one: the same runs, so that no table trains them again."""
     if set(entry) - {"from", "block"}:
         raise ValueError(f"{path}: row {name}, taken from another study: it may have a block, nothing else")
-    readers = (*readers, _name(path.parent))
+    readers = (*readers, _folder_name(path.parent))
     if entry["from"] in readers:
         raise ValueError(f"{path}: row {name} refers to itself: {' -> '.join((*readers, entry['from']))}")
     owner = read_study(os.path.normpath(path.parent / ".." / str(entry["from"])), readers)
@@ -228,6 +229,3 @@ def _checked(
         raise ValueError(f"{where}: unknown entries {unknown}: choose from {', '.join(sorted(known))}")
     check_arguments(target, entries, f"{where}: ")
     return {name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()}
-
-
-_NAME = re.compile(r"\w[\w.+-]*")

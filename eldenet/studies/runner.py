@@ -62,7 +62,7 @@ def run_row(
     if missing := [name for name in row.given if given.get(name) is None]:
         plus = "" if missing[0] in given else "+"  # Hydra's sign for a new name
         say(f"{where}: {row.not_given} ({plus}given.{missing[0]}=...)")
-        return [Outcome(f"{row.name}/seed{seed}", row.not_given) for seed in chosen]
+        return [Outcome(run_name(row, seed), row.not_given) for seed in chosen]
     shared = _with_given(study, row, given)
     run = _RowRun(study, row, rerun, say, runs / study.name)
     try:
@@ -70,7 +70,7 @@ def run_row(
             return run.run_seeds(chosen, shared)
     except FolderInUse as error:
         say(f"{where}: {error}")
-        return [Outcome(f"{row.name}/seed{seed}", "running elsewhere") for seed in chosen]
+        return [Outcome(run_name(row, seed), "running elsewhere") for seed in chosen]
 
 
 def refuse_wrong_rows(
@@ -157,7 +157,8 @@ class _RowRun:
 
     def run_seed(self, seed: int, shared: Sequence[str]) -> Outcome:
         """Train one run and store its results, unless they are stored already."""
-        name, folder = run_name(self.row, seed), self.folder / f"seed{seed}"
+        name = run_name(self.row, seed)
+        folder = self.runs / name
         overrides = self.overrides(shared, folder, seed)
         try:
             if not self.rerun and self._finished(overrides, seed):
