@@ -52,10 +52,11 @@ TITLES = ("image", "truth", "before", "after")
 
 
 def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
-    """Tune, compare with the start on held-out frames, keep the better one; return whether it is the new one.
+    """Tune, compare with the start on held-out frames, keep the better network; return whether it is new.
 
-    Two candidates are compared with the start: the scale alone, and all weights trained from there. Writes
-    ``model/``, ``run.json``, ``held_out.csv`` and ``before_after.png`` into the run folder.
+    Two candidates are compared with the start: one with another scale alone, and one with all weights
+    trained from there. Writes ``model/``, ``run.json``, ``held_out.csv`` and ``before_after.png`` into the
+    run folder.
 
     ``s`` are the settings of ``eldenet adapt``, which ``run.json`` stores.
 
@@ -139,7 +140,7 @@ def tune(s: Mapping[str, Any], folder: Path, resources: Resources) -> bool:
 
 
 def best_candidate(changes: Mapping[str, Mapping[str, Change]]) -> str:
-    """Return the name of the smallest error after, first of those worth keeping."""
+    """Return the name of the candidate with the smallest error; those worth keeping come first."""
     return min(changes, key=lambda name: (not is_improvement(changes[name]), changes[name][METRICS[0]].after))
 
 
@@ -151,7 +152,7 @@ def make_frames(
     *,
     seed: int,
 ) -> tuple[tuple[int, int], DepthDataset, DepthDataset, DepthDataset]:
-    """Return the size that the network sees [px], training frames, the same as they are, held-out frames."""
+    """Return the size that the network sees [px], training frames, the same unaugmented, held-out frames."""
     first = open_split(data, "val", protocol, seed=seed).load_frame(0).image.shape
     stretch = float(model.info.get("stretch") or 1.0)
     seen = size_of_frames(model.info)
@@ -269,7 +270,7 @@ def beside_prediction(model: DepthNet, samples: Sequence[Mapping[str, Any]]) -> 
 def affordable_epochs(model: DepthNet, frames: DepthDataset, seconds: float, *, most: int, seed: int) -> int:
     """Return how many epochs fit into ``seconds``, at most ``most``.
 
-    Where not one does, ``frames`` keeps as many frames as fit, at least those of a batch.
+    Where not even one fits, ``frames`` is cut to as many frames as do, a batch at least.
     """
     twin = copy.deepcopy(model).train()
     device = next(twin.parameters()).device

@@ -17,9 +17,9 @@ from eldenet.backbones.weights import read_torch
 from eldenet.results.fingerprints import differences
 from eldenet.system.errors import reading
 from eldenet.system.files import copy_file, parse_json, part_file
-from eldenet.training.resume import checkpoint_file, run_folder
+from eldenet.training.resume import OWN_CHECKPOINT, checkpoint_file, run_folder
 
-LAST, BEST = "last.pt", "best.pt"
+LAST, BEST = OWN_CHECKPOINT.name, "best.pt"
 RESUME_ADVICE = "resume from another checkpoint, such as best.pt beside it, or train again"
 
 
@@ -177,7 +177,7 @@ def bring_best(source: Path, folder: Path, progress: Progress) -> None:
         )
     if old == folder.resolve():
         return
-    brought = [old / "checkpoints" / BEST, *sorted((old / "model").glob("[!.]*"))]
+    brought = [old / OWN_CHECKPOINT.with_name(BEST), *sorted((old / "model").glob("[!.]*"))]
     for file in filter(Path.is_file, brought):
         copy_file(file, folder / file.relative_to(old))
 

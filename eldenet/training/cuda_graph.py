@@ -54,7 +54,7 @@ class GraphedStep:
         if shapes not in self.captured:
             self.calls[shapes] += 1
             if self.calls[shapes] <= WARM_UP:
-                return self._beside(batch)
+                return self._uncaptured(batch)
             self.captured[shapes] = self._capture(batch, tensors)
         graph, own, terms = self.captured[shapes]
         for name, value in tensors.items():
@@ -77,8 +77,8 @@ class GraphedStep:
         for group in self.groups:
             group["capturable"] = on
 
-    def _beside(self, batch: dict[str, Any]) -> dict[str, Tensor]:
-        """Run the step on the stream of the capture."""
+    def _uncaptured(self, batch: dict[str, Any]) -> dict[str, Tensor]:
+        """Run the step once, on the stream of the captures."""
         current = torch.cuda.current_stream()
         self.stream.wait_stream(current)
         with torch.cuda.stream(self.stream):

@@ -100,7 +100,10 @@ def check_sources(loss: WeightedSum, data: Mapping[str, Any]) -> None:
 
 
 def check_range(model: DepthNet, data: Mapping[str, Any]) -> None:
-    """Raise ValueError if the network cannot reach all depth that counts as known in frames of ``data``."""
+    """Raise ValueError if the network cannot reach all depth that counts as known in frames of ``data``.
+
+    One with a canonical camera is not checked: its reach depends on each frame's lens.
+    """
     head = model.head
     near, far = data.get("min_depth") or head.min_depth, data.get("max_depth") or head.max_depth
     if model.canonical_px is None and not head.min_depth <= near <= far <= head.max_depth:
@@ -147,7 +150,7 @@ def _take_over(model: DepthNet, weights: str, trusted_modules: Sequence[str], *,
 def _beside_new_channels(
     own: Mapping[str, Tensor], start: Mapping[str, Tensor], channels: int
 ) -> dict[str, Tensor]:
-    """Tensors that have more channels than in ``start``: its ``channels`` first, then the own ones."""
+    """Tensors that have more channels than in ``start``: its ``channels``, followed by the own new ones."""
     return {
         name: torch.cat([value, own[name][channels:]])
         for name, value in start.items()

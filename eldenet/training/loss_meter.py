@@ -11,7 +11,7 @@ from torch import Tensor
 from eldenet.training.checkpoint import Progress
 
 BLANK = "batches without a known pixel"  # counted among the sums
-READ_EVERY = 10  # steps between two looks at what an accelerator has computed
+READ_EVERY = 10  # batches between two copies of what an accelerator has computed
 
 
 def timed(batches: Iterable[dict[str, Any]], progress: Progress) -> Iterator[dict[str, Any]]:
@@ -26,7 +26,7 @@ def timed(batches: Iterable[dict[str, Any]], progress: Progress) -> Iterator[dic
 class LossMeter:
     """Sums of named loss terms.
 
-    The values of an accelerator are copied to the host while it computes on. They are looked at when the next
+    The values of an accelerator are copied to the host while it computes on. They are added up when the next
     ones are copied, so neither waits for the other.
 
     Args:

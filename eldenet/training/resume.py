@@ -13,7 +13,7 @@ from eldenet.results.run_record import RUN_FILE, read_run
 from eldenet.system.files import read_yaml
 from eldenet.system.resources import number_of_processes
 
-OWN_CHECKPOINT = Path("checkpoints") / "last.pt"
+OWN_CHECKPOINT = Path("checkpoints") / "last.pt"  # in a run folder
 
 
 def finished_value(folder: Path, ckpt_path: str | None, settings: Mapping[str, Any]) -> float | None:
@@ -60,8 +60,8 @@ def checkpoint_to_resume(folder: Path, ckpt_path: str | None, settings: Mapping[
         ValueError: the run folder holds another run, or the run to resume was begun with other settings.
         FileNotFoundError: there is no such checkpoint.
     """
-    checkpoint, whole = _named_checkpoint(folder, ckpt_path), folder.resolve()
-    own = checkpoint is not None and whole in (checkpoint.resolve(), *checkpoint.resolve().parents)
+    checkpoint, here = _named_checkpoint(folder, ckpt_path), folder.resolve()
+    own = checkpoint is not None and here in (checkpoint.resolve(), *checkpoint.resolve().parents)
     if not own:
         held = [file for file in (Path(RUN_FILE), OWN_CHECKPOINT) if (folder / file).exists()]
         if held:

@@ -35,6 +35,7 @@ from eldenet.training.loss_meter import BLANK, LossMeter, timed
 from eldenet.training.optim import build_optimizer, frozen_parts, fused
 from eldenet.training.profile import TRACE, Profile
 
+# settings of a trainer that must agree when a training resumes
 SIGNATURE = (
     "monitor",
     "seed",
@@ -45,7 +46,7 @@ SIGNATURE = (
     "freeze",
     "sync_batchnorm",
     "aspect_ratios",
-)  # a checkpoint's
+)
 IMPLEMENTATION = ("foreach", "fused", "capturable")  # of an optimizer: how it computes, not what
 #: Column of history.csv -> its name in the line of an epoch; all but the loss are of the validation frames.
 SHOWN = {"train_total": "loss", "val_delta1": "delta1", "val_abs_rel": "abs_rel", "val_rmse": "rmse"}
@@ -89,8 +90,8 @@ class Trainer:
         sync_batchnorm: BatchNorm takes its statistics from the batches of all processes, which must be on
             GPUs; otherwise each process has its own.
         monitor: metric that decides which epoch is the best.
-        loss_camera: of a network with ``canonical_px``: the loss compares depth in meters of the "canonical"
-            camera, or of each frame's "own" camera.
+        loss_camera: for a network with ``canonical_px``: the loss compares depth in meters of the
+            "canonical" camera, or of each frame's "own" camera.
         checkpoint_every: updates between step checkpoints (an epoch's end always writes one).
         evaluate_every: epochs between validations; the last epoch always has one.
         seed: of frame order, augmentation and anything random in the network.
@@ -102,7 +103,7 @@ class Trainer:
         loggers: names of :data:`~eldenet.results.loggers.LOGGERS`, which get the curves and pictures.
     """
 
-    optimizer: Any  # in fit what they make, which train_step uses
+    optimizer: Any  # from fit on, as the scheduler, what was made: train_step uses it
     scheduler: Any
     epochs: int
     patience: int | None = None
@@ -232,9 +233,8 @@ class Trainer:
                     return
 
     def _stop(self, stop: GracefulStop) -> None:
-        """End as the signal asks; save before, unless other processes are at another batch."""
-        whole = self.progress.batch % self.accumulate_grad_batches == 0
-        if self.processes == 1 and whole and self.progress.batch:
+        """End as the signal asks; within an epoch save before, unless there are other processes."""
+        if self.processes == 1 and self.progress.batch:  # 0 where the end of the epoch has just saved
             self._save(LAST)
         self.log.close()
         stop.obey()
@@ -490,7 +490,7 @@ class Trainer:
             self.state.refuse_broken()
             with self.part("validation"):
                 metrics = self._validate()
-            if isinstance(self.scheduler, ReduceLROnPlateau):  # smaller is better
+            if isinstance(self.scheduler, ReduceLROnPlateau):  # to it, smaller is better
                 sign = 1 if self.monitor in LOWER_IS_BETTER else -1
                 self.scheduler.step(sign * metrics[self.monitor])
             row |= {f"val_{name}": metrics[name] for name in METRICS}
