@@ -231,9 +231,8 @@ def trained_size(model: "DepthNet | RuntimeNetwork", protocol: "EvalProtocol") -
     if isinstance(model, RuntimeNetwork) and seen is not None and model.network.whole_frame_size == seen:
         raise ValueError(
             f"this file takes the camera's whole frames, {seen[0]} x {seen[1]} pixels, but protocol "
-            f"{protocol.name} only shows a part of them: to score the network, export it with size= of "
-            "that part "
-            "(the training's data.input_size)"
+            f"{protocol.name} only shows a part of them: to score the network, export it with size= of that "
+            "part (the training's data.input_size)"
         )
     return seen
 

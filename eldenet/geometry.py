@@ -28,7 +28,7 @@ MAX_SKEW, MAX_STRETCH = 0.01, 2.0  # relative to fx; fx / fy or fy / fx
 MOST_SENSOR = 55.0  # side of an image sensor [mm]
 CENTRAL = (0.3, 0.7)  # where principal points lie, in widths and heights of the picture
 MOST_SQUARE = 1.2  # aspect up to which a picture and itself turned by 90 degrees have much the same middle
-TURNED = 0.02  # how near they lie to the middle of the picture turned by 90 degrees, if that is meant
+TURNED = 0.02  # so near to the middle of the picture turned by 90 degrees, they are taken for that one's
 _OR_ANY_LENS = f"; {ANY_LENS}=1 allows any lens"
 LARGEST = 100.0  # of depth in meters: a camera also sees something near
 MOSTLY = 0.9  # share of the known depth above it that shows another unit
@@ -83,7 +83,7 @@ def _shown(intrinsics: Any) -> Any:
 
 
 def _fault_of(matrix: np.ndarray) -> str:
-    """What makes finite numbers ``(3, 3)`` no matrix of a camera; empty: nothing, at any size of pictures."""
+    """What makes finite numbers ``(3, 3)`` no matrix of a camera, whatever the pictures' size; else ""."""
     fx, skew, fy = matrix[0, 0], matrix[0, 1], matrix[1, 1]
     if np.abs(matrix[2] - (0, 0, 1)).max() > 1e-6:  # for every frame: np.allclose is slow
         if np.allclose(matrix[:2, 2], 0):

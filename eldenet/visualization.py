@@ -46,10 +46,11 @@ def _colors(share: np.ndarray, palette: int, known: np.ndarray | None) -> np.nda
 
 
 def depth_row(image: "Tensor", depth: "Tensor", mask: "Tensor", prediction: "Tensor") -> np.ndarray:
-    """One picture ``(H, 4 W + w, 3)`` uint8: image, ground truth, prediction, error, their scales [m], [%].
+    """One picture ``(h, w, 3)`` uint8: image, ground truth, prediction, error, their scales [m] and [%].
 
     Takes ``image (3, h, w)`` in [0, 1] and ``(1, H, W)`` maps [m]; the two depth panels share one range.
-    Maps wider than ``WIDEST_PANEL`` shrink, and their known points stay points.
+    Maps wider than ``WIDEST_PANEL`` shrink, and their known points stay points; small ones are enlarged by a
+    whole factor.
     """
     truth, known, guess = (tensor.squeeze(0).cpu().numpy() for tensor in (depth, mask, prediction))
     height, width = truth.shape
@@ -88,9 +89,9 @@ def _enlarged(picture: np.ndarray, times: int) -> np.ndarray:
     return picture.repeat(times, axis=0).repeat(times, axis=1)
 
 
-def _write(picture: np.ndarray, text: str, place: tuple[int, int], size: float) -> None:
-    """Write black letters on ``(H, W, 3)``; ``place`` is their lower left corner (column, row) [px]."""
-    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 1, cv2.LINE_AA)
+def _write(picture: np.ndarray, text: str, corner: tuple[int, int], size: float) -> None:
+    """Write black letters on ``(H, W, 3)``; ``corner`` is their lower left one (column, row) [px]."""
+    cv2.putText(picture, text, corner, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def _letters(height: int) -> float:
@@ -132,7 +133,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 
 
 def image_over_depth(image: np.ndarray, depth: np.ndarray, max_depth: float) -> np.ndarray:
-    """Image ``(H, W, 3)`` uint8 above its colored depth [m], both ``PANEL_WIDTH`` wide."""
+    """Image ``(H, W, 3)`` uint8 above its colored depth [m] and a line about it, ``PANEL_WIDTH`` wide."""
     known = (depth > 0) & (depth <= max_depth)
     near, far = visible_range(np.where(known, depth, 0))
     pieces = []
@@ -163,7 +164,7 @@ def contact_sheet(panels: Sequence[tuple[str, np.ndarray]], columns: int) -> np.
 
 
 def visible_range(depth: np.ndarray) -> tuple[float, float]:
-    """The 2nd and the 98th percentile of known depth ``(H, W)`` [m]: the range of its colors."""
+    """The range of colors of depth ``(H, W)`` [m]: the 2nd and 98th percentile of the known; else 0 and 1."""
     known = depth[np.isfinite(depth) & (depth > 0)]
     if not known.size:
         return 0.0, 1.0

@@ -37,7 +37,7 @@ class Backbone(Configurable, nn.Module):
 
 
 def outputs_of(layers: Iterable[nn.Module], x: Tensor, ends: Collection[int]) -> tuple[Tensor, ...]:
-    """Run layers one after the other on ``(B, C, H, W)``; return the outputs of those numbered ``ends``."""
+    """Run layers one after the other on ``(B, C, H, W)``; return the outputs of the numbers ``ends``."""
     outputs = []
     for number, layer in enumerate(layers):
         x = layer(x)

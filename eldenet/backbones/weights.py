@@ -106,9 +106,10 @@ def read_torch(path: Path) -> Any:
 
 
 def _check_sizes(content: Any, most: int) -> None:
-    """Raise ValueError if a tensor of a file says that it is larger than its numbers, or is of another kind.
+    """Raise ValueError for a tensor that states more numbers than it has, or is sparse, quantized or meta.
 
-    A file of 1 kB may state a tensor of many GB, which the first operation on it would make.
+    ``most`` is the size of the file [bytes]. A file of 1 kB may state a tensor of many GB, which the first
+    operation on it would make.
     """
     waiting, seen, stored = [content], set(), {}
     while waiting:
@@ -172,8 +173,8 @@ def download_from_hub(repository: str) -> Path:
     """
     from huggingface_hub import hf_hub_download
 
-    # which errors depends on the versions of the Hub's client and its HTTP library
     filename = "model.safetensors"
+    # the kinds of errors depend on the versions of the Hub's client and its HTTP library
     with downloading(f"{filename} from https://huggingface.co/{repository}", Exception):
         return Path(until_stalled(lambda: hf_hub_download(repository, filename), repository))
 
@@ -224,7 +225,7 @@ def downloading(what: str, errors: type[Exception] = OSError) -> Iterator[None]:
     """Say how to do without a network where ``what`` cannot be downloaded.
 
     Raises:
-        ConnectionError: in place of those errors.
+        ConnectionError: in place of ``errors``.
     """
     try:
         yield
@@ -245,8 +246,8 @@ def load_torchvision_weights(
         name: torchvision's name of the network, such as ``"resnet18"``.
         pretrained: ``True`` for ``IMAGENET1K_V1``, from which the baselines in the literature start; the
             name of others (``"IMAGENET1K_V2"``); or a local file.
-        by_order: if the names in a file differ from torchvision's, match its tensors by order, provided that
-            their number and every shape agree. For networks of which such files are in use.
+        by_order: match the tensors of a file with other names than torchvision's by their order, if their
+            number and every shape agree. For networks that are shared in such files.
 
     Raises:
         ValueError: no such weights, or they do not fit.

@@ -98,7 +98,7 @@ class FourierPosition(nn.Module):
             """Sines and cosines of every position ``(2 * FREQUENCIES, count)``."""
             positions = torch.arange(1, count + 1, device=x.device, dtype=torch.float32)
             angles = rates[:, None] * positions * (2 * math.pi / count)
-            return torch.stack([angles.sin(), angles.cos()], dim=1).flatten(0, 1)  # (2 frequencies, count)
+            return torch.stack([angles.sin(), angles.cos()], dim=1).flatten(0, 1)
 
         rows = waves(height)[:, :, None].expand(-1, -1, width)
         columns = waves(width)[:, None, :].expand(-1, height, -1)
@@ -236,7 +236,7 @@ class LiteMono(Configurable, nn.Module):
                 nn.init.zeros_(layer.bias)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Features ``(B, C, h, w)``, finest first."""
+        """Normalized image ``(B, 3, H, W)`` -> raw map ``(B, 1, ceil(H / 2), ceil(W / 2))``."""
         features = self.encoder(image)
         x = features[-1]
         for before, after, skip in zip(

@@ -194,7 +194,7 @@ class METER(Configurable, nn.Module):
         return self.predict(x)
 
 
-# The published names -> ours, tried in this order.
+# The published names -> ours, applied in this order, all of them to each name.
 _RENAMES = (
     (r"^encoder\.mv2\.", "convolutions."),
     (r"^encoder\.mvit\.", "transformers."),

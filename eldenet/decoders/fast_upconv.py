@@ -25,15 +25,16 @@ class FastUpConvDecoder(Decoder):
 
     Args:
         feature_info: of the backbone, finest first.
-        width: channels after the first 1x1 convolution; None: half of the deepest feature's.
+        width: channels to which the deepest feature is reduced; None: half of its own.
         fusion: "add" adds the encoder's features; "concat" joins them by a concatenation block; "none" uses
             the deepest feature alone.
         min_channels: least number of channels of a module.
-        lateral_strides: strides whose features are added; None: all.
+        lateral_strides: strides whose features join; None: all that a module reaches.
         modules: number of doublings. With an encoder of stride 32, the baseline's four end at stride 2 and
             three end at stride 4; the last module is the most expensive.
         kernels: ``(height, width)`` of the convolutions on the encoder's features: one for each of the finest
-            strides and, last, the deepest feature's. Features between take no part. None: 1x1 on all.
+            features that a module reaches, and last the deepest feature's. Features between take no part.
+            None: 1x1 on all.
 
     Raises:
         ValueError: an unknown fusion, more modules than the encoder has halvings, lateral strides at which

@@ -22,7 +22,8 @@ class MultiKernelDecoder(Decoder):
         feature_info: of the backbone, finest first.
         branch_channels: channels of each branch after its shuffle.
         fuse_channels: channels of the 3x3 convolution after the concatenation.
-        kernels: ``(height, width)`` per stage, finest first.
+        kernels: ``(height, width)``, finest first: the last is the deepest feature's, the others are those
+            of the finest features.
         max_shuffle: largest factor of a shuffle; bilinear up-sampling does the rest. A single shuffle by 16
             for the deepest stage would double the network's parameters.
 

@@ -94,10 +94,12 @@ class WeightedTerm(nn.Module):
         weight: 0 or more.
         space: space in which the maps are compared: "meters"; "log" (errors count by their ratio, as in
             AbsRel and delta); "inverse" (1 / m, where near pixels count most, as in DenseDepth).
-        applies_to: "metric" or "relative": which samples count, by what is known about their depth.
+        applies_to: which samples count: those whose depth is known in meters ("metric"), or up to a factor
+            only ("relative").
 
     Raises:
-        ValueError: an unknown space, or one that the loss does not support, or something else than a Loss.
+        ValueError: an unknown space or kind of samples, a space that the loss does not support, or something
+            else than a Loss.
 
     Attributes:
         needs_depth: whether it counts only pixels whose depth is known.

@@ -37,7 +37,7 @@ class Teacher:
         self.input_size = None if input_size is None else (int(input_size[0]), int(input_size[1]))
         self.autocast: Autocast = nullcontext
         self._canonical_width: int | None = getattr(network, "config", {}).get("canonical_width")
-        self._place: tuple[torch.device, torch.memory_format] | None = None
+        self._device_and_layout: tuple[torch.device, torch.memory_format] | None = None
 
     @torch.no_grad()
     def __call__(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
@@ -48,12 +48,12 @@ class Teacher:
         """
         channels_last = image.is_contiguous(memory_format=torch.channels_last)
         layout = torch.channels_last if channels_last else torch.contiguous_format
-        if self._place != (image.device, layout):
+        if self._device_and_layout != (image.device, layout):
             self.network.to(image.device).to(memory_format=layout)
-            self._place = image.device, layout
+            self._device_and_layout = image.device, layout
         size = tuple(image.shape[-2:])
         if self.input_size is not None and self.input_size != size:
-            shrinks = self.input_size < size  # compares the heights, and the widths where heights are equal
+            shrinks = self.input_size < size  # in height; in width if the height stays
             image = F.interpolate(
                 image, size=self.input_size, mode="bilinear", align_corners=False, antialias=shrinks
             )
