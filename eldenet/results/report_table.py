@@ -192,7 +192,7 @@ def group_rows(runs: Sequence[Mapping[str, Any]]) -> list[Row]:
 def _by_settings(
     model: str, members: Sequence[Mapping[str, Any]]
 ) -> list[tuple[str, list[Mapping[str, Any]]]]:
-    """Names and runs of the rows of one model: one row where there is no setting to tell them apart by."""
+    """Names and runs of the rows of one model: a single row where no setting tells them apart."""
     rows: list[list[Mapping[str, Any]]] = []
     for run in members:
         row = next((row for row in rows if not any(_row_differences([row[0], run]))), None)
@@ -216,7 +216,7 @@ def _by_settings(
 
 
 def _row_differences(members: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """Sections in which runs differ, though runs of a row may not, and how."""
+    """Sections in which runs of one row must agree and these do not, and how they differ."""
     compared = {section: [run.get("config", {}).get(section) for run in members] for section in SAME_IN_A_ROW}
     compared["sources"] = _shared_sources(members)
     compared["train_split_hash"] = [run.get("train_split_hash") for run in members]
@@ -231,7 +231,7 @@ def _row_differences(members: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str
 
 
 def _shared_sources(members: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Fingerprints of the weights and teachers of each run, without those that are each seed's own."""
+    """Fingerprints of the weights and teachers of each run, without those that belong to its seed."""
     found: list[dict[str, Any]] = [dict(run.get("sources", {})) for run in members]
     places = [sources_of(run.get("config", {})) for run in members]
     for name in set().union(*found):

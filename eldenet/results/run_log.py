@@ -35,8 +35,8 @@ class RunLog:
     Args:
         folder: of the run.
         quiet: for processes that are not the main one.
-        first_step: of a resumed run: TensorBoard drops points from that step on, which a killed process left;
-            None: it keeps all.
+        first_step: the next step of a resumed run: TensorBoard drops points that a killed process left from
+            there on; None: it keeps all.
         loggers: names of :data:`~eldenet.results.loggers.LOGGERS`.
     """
 

@@ -72,7 +72,10 @@ def score(
     log.picture("predictions", step, picture_of_samples(model, dataset, protocol))
     log.close()
     constant = None if train_set is None else _constant_predictor(train_set, log)
-    scored = (dataset, protocol, resources, batch_size, "evaluating the constant predictor", log)
+    of_constant = None
+    if constant is not None:
+        title = "evaluating the constant predictor"
+        of_constant = _evaluate(constant, dataset, protocol, resources, batch_size, title, log).metrics
     size = dataset[0]["image"].shape[-2:]
     skipped = {"train": {} if train_set is None else train_set.skipped, **facts.get("skipped", {})}
     record = {
@@ -88,7 +91,7 @@ def score(
         "metrics": result.metrics,
         "uncertainty_protocol": PROTOCOL if result.uncertainty else None,
         "errors_by_class": result.classes or None,
-        "constant_predictor": None if constant is None else _evaluate(constant, *scored).metrics,
+        "constant_predictor": of_constant,
         "normalization": _normalization(model),
         "cost": asdict(measure(model, (size[0], size[1]))),
         "seed": info.get("seed"),

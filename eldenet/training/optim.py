@@ -88,7 +88,7 @@ def plateau(
 
 
 def fused(make: Callable[..., Optimizer]) -> Callable[..., Optimizer]:
-    """An optimizer that updates all weights in one kernel, where it has one and its settings do not say."""
+    """Let an optimizer update all weights in one kernel, if it can and its settings do not choose how."""
     given = make.keywords if isinstance(make, functools.partial) else {}
     known = "fused" in inspect.signature(make).parameters
     return functools.partial(make, fused=True) if known and not {"fused", "foreach"} & given.keys() else make
@@ -120,7 +120,7 @@ def frozen_parts(model: nn.Module, names: Sequence[str]) -> list[nn.Module]:
 def build_optimizer(
     make: Callable[..., Optimizer], model: nn.Module, loss: nn.Module, *, backbone_lr_factor: float = 1.0
 ) -> Optimizer:
-    """An optimizer of all parameters; those of the backbone learn at ``backbone_lr_factor`` x its rate.
+    """Make an optimizer of all parameters; the backbone's learn at ``backbone_lr_factor`` x its rate.
 
     A trained backbone forgets what it knows at the rate that a new decoder needs (Howard & Ruder 2018,
     "discriminative fine-tuning").
