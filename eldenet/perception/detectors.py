@@ -58,6 +58,7 @@ class CallableDetector:
         function: frame -> ``(xyxy (N, 4), score (N,), label (N,))``, as arrays or lists; boxes counted from
             the image corner (the first pixel reaches from 0 to 1), as most detectors do; labels are classes'
             names, or their places in ``names``.
+        names: of all classes.
         box_style: how its boxes enclose objects.
     """
 

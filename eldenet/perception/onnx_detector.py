@@ -110,10 +110,10 @@ class OnnxDetector:
 
     Args:
         letterbox: "topleft", "center" or "stretch"; None: the file's ``letterbox_pad``, or the layout's.
-        names: of the classes; None: the file's, or COCO's if there are 80.
-        input_size: ``(height, width)``; needed if the file leaves it open; None: the file's.
+        names: of the classes; None: the file's, else COCO's if there are 80 or their number is unknown.
+        input_size: ``(height, width)`` [px]; needed if the file leaves it open; None: the file's.
         threshold: detections below this score are dropped.
-        nms: IoU from which the worse of two boxes of a class is dropped.
+        nms: IoU above which the worse of two boxes of a class is dropped.
         between_classes: the same for two boxes of different classes; 1: keep both.
         keep: names of the classes to keep; None: all.
         box_style: how its boxes enclose objects.
