@@ -54,12 +54,13 @@ class Detections2D(ArrayRows):
         label: ``(N,)`` index into ``names``.
         names: of the classes.
         box_style: see :data:`BoxStyle`.
-        mask: ``(N, H, W)`` bool; used instead of the box; or None.
+        mask: ``(N, H, W)`` bool: the object's pixels; None: all of the box but those in nearer boxes.
         track_id: ``(N,)``, or None.
 
     Raises:
-        ValueError: arrays of different lengths, labels without a name, boxes or scores that are not finite,
-            boxes whose right or lower edge comes first.
+        ValueError: ``xyxy``, ``score`` and ``label`` differ in length, a label is no whole number or has no
+            name, a box or score is not finite, the right or lower edge of a box comes first, or
+            ``box_style`` is unknown.
     """
 
     xyxy: np.ndarray
@@ -155,11 +156,11 @@ class Boxes3D(ArrayRows):
         label: ``(N,)`` index into ``names``.
         names: of the classes.
         quality: ``(N,)`` arrays on how each box was found: ``points`` (foreground pixels used),
-            ``depth_scale`` (fitted factor on the depth), ``truncated``, ``occluded`` (share of its 2D box),
-            ``fallback`` (1 if the method could not be used), ``cost`` (of the fit), ``doubtful`` (1 if that
-            cost stands far out); for tracks ``heading``
-            (1 if front and back are known); of depth with sigma ``distance_low`` and ``distance_high`` [m],
-            the interval of the distance.
+            ``depth_scale`` (fitted factor on the depth), ``truncated`` (1 if the image border cuts its 2D
+            box), ``occluded`` (share of its 2D box that nearer ones cover), ``fallback`` (1 if the method
+            could not be used), ``cost`` (of the fit), ``doubtful`` (1 if its cues contradict each other, or
+            nothing tells its distance); for tracks ``heading`` (1 if front and back are known); for depth
+            with sigma ``distance_low`` and ``distance_high`` [m], the interval of the distance.
         track_id: ``(N,)``, or None.
         velocity: ``(N, 3)`` [m/s], or None: from tracking.
     """
@@ -196,7 +197,7 @@ class Boxes3D(ArrayRows):
 
     @property
     def doubtful(self) -> np.ndarray:
-        """``(N,)`` bool: the cues of the box contradict each other."""
+        """``(N,)`` bool: the cues of the box contradict each other, or nothing tells its distance."""
         return np.asarray(self.quality.get("doubtful", np.zeros(len(self))) == 1)
 
     @property
@@ -235,9 +236,10 @@ class Boxes3D(ArrayRows):
         return replace(super().select(chosen), quality=quality)
 
     def project(self, camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:
-        """2D boxes ``(N, 4)`` around the corners, clipped before the camera and to ``(height, width)`` [px].
+        """2D boxes ``(N, 4)`` [px] around what lies in front of the camera, cut to an image of ``size``.
 
-        NaN for a box outside the image: behind the camera, or beside the view.
+        ``size`` is ``(height, width)`` [px]. NaN for a box outside the image: behind the camera, or beside
+        the view.
         """
         boxes = np.full((len(self), 4), np.nan)
         for index, corners in enumerate(camera.to_camera(self.corners)):

@@ -186,11 +186,12 @@ def _face_distances(
     eye: tuple[np.ndarray, np.ndarray, np.ndarray],
     extent: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Distance ``(B, P)`` of every point beyond its face [m], whether it is outside, derivatives ``(B, P)``.
+    """Distance ``(B, P)`` of every point beyond its face [m], whether it is outside, and derivatives.
 
     A point outside belongs to the face that it is farthest beyond, one inside to the nearest of the faces
     that the camera sees. ``point`` and ``eye`` are along the length (u), the width (v) and up from the lower
-    face, ``extent`` is half the length, half the width and the height; derivatives are -1, 0 or 1.
+    face, ``extent`` is half the length, half the width and the height. The derivatives ``(B, P)`` of the
+    distance with respect to u, v and up are -1, 0 or 1.
     """
     half_l, half_w, tall = extent
     u, v, up = point

@@ -125,7 +125,7 @@ def lshape_boxes(evidence: ObjectEvidence) -> RawBoxes:
 
 
 def fitted_boxes(evidence: ObjectEvidence) -> RawBoxes:
-    """The least-squares fit of :mod:`.box_fit`; of the kinds of a class, the one that fits best."""
+    """The least-squares fit of :mod:`.box_fit`; of a class's kinds, the one that fits enough points best."""
     enough = evidence.foreground.count >= MIN_POINTS
     options = [
         prior.kinds if prior and prior.kinds and fits else (prior,)
@@ -183,7 +183,7 @@ def _problem(evidence: ObjectEvidence) -> box_fit.Problem:
 
 def _ground_prior(evidence: ObjectEvidence) -> tuple[np.ndarray, np.ndarray]:
     """Y of the ground below each object as ``a + b x + c z`` ``(N, 3)``, and its error ``(N,)`` [m]."""
-    # a plane fitted to depth is as wrong as the depth's scale, one from the camera's height by the tilt
+    # the ground may tilt below both planes; one fitted to depth has the error of the depth's scale, too
     distance = _distance_by_size(evidence)
     total, sums = np.full(len(distance), 1e-12), np.zeros((len(distance), 3))
     for plane, scale in ((evidence.plane, evidence.plane_sigma), (evidence.nominal, 0.0)):

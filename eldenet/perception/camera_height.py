@@ -49,7 +49,7 @@ TITLES = ("image", "before", "after")
 
 
 def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Resources) -> bool:
-    """Fit the scale, check it on held-out frames, keep the better weights; return whether it is kept.
+    """Fit a scale, check it on held-out frames, keep the better weights; return whether the scaled ones are.
 
     ``s`` are the settings of ``eldenet adapt camera_height=...``; ``source`` has pictures in the order of
     time, or a video.
@@ -62,22 +62,22 @@ def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Res
     log, known_pitch = RunLog(folder), s["camera_pitch"] is not None
     predictor = DepthPredictor(start, device=resources.device, steady=False)
     pitch = math.radians(s["camera_pitch"]) if known_pitch else None
-    floors_of = Floors(level_camera(s["intrinsics"], pitch), s["camera_height"], known_pitch)
-    names, values, shown, thumbnails = measure_floors(source, predictor, floors_of, s["frames"], log)
-    refuse_few(values)
-    held, fitted = hold_out_floors(values, s["seed"])
+    mount = Mount(level_camera(s["intrinsics"], pitch), s["camera_height"], known_pitch)
+    names, log_scales, shown, thumbnails = measure_floors(source, predictor, mount, s["frames"], log)
+    refuse_few(log_scales)
+    held, fitted = hold_out_floors(log_scales, s["seed"])
     refuse_copies([thumbnails[i] for i in held], [thumbnails[i] for i in fitted])
-    floors = float(np.nanmedian(values[fitted]))
+    of_floors = float(np.nanmedian(log_scales[fitted]))
     check_scale(
-        float(np.exp(floors)),
+        float(np.exp(of_floors)),
         "camera_height [m], camera_pitch [degrees], intrinsics [px] and weights",
         force=s["force"],
     )
-    scale = scale_of_all(floors, known_pitch=known_pitch)
-    before, after = np.abs(values[held]), np.abs(values[held] - np.log(scale))
+    scale = scale_of_all(of_floors, known_pitch=known_pitch)
+    before, after = np.abs(log_scales[held]), np.abs(log_scales[held] - np.log(scale))
     changes = {"scale_error": compare("scale_error", before.tolist(), after.tolist())}
-    found = int(np.isfinite(values).sum())
-    log.say(f"{found} of {len(values)} frames show the floor; times {np.exp(floors):.2f} its depth is right")
+    found, count = int(np.isfinite(log_scales).sum()), len(log_scales)
+    log.say(f"{found} of {count} frames show the floor; times {np.exp(of_floors):.2f} its depth is right")
     few = "this may be an error of the floor alone, so depth stays as it is"
     log.say(few if scale == 1 else f"all depth is multiplied by a part of that: {scale:.2f}")
     say_changes(log, f"{s['weights']}: floors of {changes['scale_error'].frames} held-out frames", changes)
@@ -88,16 +88,16 @@ def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Res
     draw(folder / "before_after.png", shown, scale)
     facts = {
         "scale": scale,
-        "floor_scale": float(np.exp(floors)),
-        "frames": len(values),
+        "floor_scale": float(np.exp(of_floors)),
+        "frames": count,
         "frames_with_floor": found,
         "config": dict(s),
     }
     return record_change(folder, log, start, model, changes, s["weights"], facts)
 
 
-class Floors(NamedTuple):
-    """What is known of the floor: the level camera, its height [m], and whether its pitch is given."""
+class Mount(NamedTuple):
+    """The camera, its height above the floor [m], and whether its pitch is given: then its frame is level."""
 
     camera: PinholeCamera
     height: float
@@ -105,13 +105,13 @@ class Floors(NamedTuple):
 
 
 def measure_floors(
-    source: Source, predictor: DepthPredictor, floors: Floors, most: int, log: RunLog
+    source: Source, predictor: DepthPredictor, mount: Mount, most: int, log: RunLog
 ) -> tuple[list[str], np.ndarray, list[tuple[np.ndarray, np.ndarray]], list[np.ndarray]]:
-    """Return names and log scales ``(N,)`` of the frames, ``SHOWN`` with depth [m], and all thumbnails."""
-    camera = floors.camera
+    """Return names, log scales ``(N,)``, ``SHOWN`` photos with depth [m], and all thumbnails."""
+    camera = mount.camera
     predict = for_camera(predictor, camera.intrinsics)
     names: list[str] = []
-    values: list[float] = []
+    log_scales: list[float] = []
     shown: list[tuple[np.ndarray, np.ndarray]] = []
     thumbnails: list[np.ndarray] = []
     pictures, total = frames_of(source, most)
@@ -121,16 +121,16 @@ def measure_floors(
             depth = predict(photo)
             names.append(name)
             thumbnails.append(thumbnail(photo))
-            values.append(log_scale(depth, camera, floors.height, known_pitch=floors.known_pitch))
+            log_scales.append(log_scale(depth, camera, mount.height, known_pitch=mount.known_pitch))
             if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
                 size = panel_size(photo)
                 shown.append((resize_image(photo, size), enlarged(depth, size)))
             bar.advance(1)
-    return names, np.array(values), shown, thumbnails
+    return names, np.array(log_scales), shown, thumbnails
 
 
 def frames_of(source: Source, most: int) -> tuple[Iterator[tuple[str, np.ndarray]], int]:
-    """Return name and picture ``(H, W, 3)`` uint8 RGB of ``most`` evenly chosen frames, and their number."""
+    """Yield name and picture ``(H, W, 3)`` uint8 RGB of ``most`` evenly chosen frames; and their number."""
     if not source.is_video:
         paths = [Path(path) for path in source.names]
         chosen = [paths[i] for i in evenly_spaced(len(paths), most)]
@@ -168,7 +168,7 @@ def log_scale(depth: np.ndarray, camera: PinholeCamera, height: float, *, known_
     if hides_a_floor(depth, camera, plane):
         return float("nan")
     rows, columns = floor_pixels(depth, camera, plane)
-    slope = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ camera.homography[1]
+    slope = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ camera.homography[1]  # fall per depth
     below = slope > 0.02  # well below the horizon
     if not below.any():
         return float("nan")
@@ -195,28 +195,28 @@ def floor_pixels(
     return rows[inside], columns[inside]
 
 
-def scale_of_all(floors: float, *, known_pitch: bool) -> float:
-    """Return the factor for all depth, given the median log scale of the floors.
+def scale_of_all(of_floors: float, *, known_pitch: bool) -> float:
+    """Return the factor for all depth, given the median log scale ``of_floors``.
 
     A network is often more wrong about the floor than about the rest, above all where it takes a tall camera
     for a lower one, and a fitted pitch adds its own error. So all depth follows the floor in part.
     """
-    if abs(floors) < LEAST_FLOOR_SCALE:
+    if abs(of_floors) < LEAST_FLOOR_SCALE:
         return 1.0
-    share = FLOOR_SHARE["given" if known_pitch else "fitted"]["grows" if floors > 0 else "shrinks"]
-    return float(np.exp(share * floors))
+    share = FLOOR_SHARE["given" if known_pitch else "fitted"]["grows" if of_floors > 0 else "shrinks"]
+    return float(np.exp(share * of_floors))
 
 
-def hold_out_floors(values: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def hold_out_floors(log_scales: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers ``(K,)`` of held-out frames and of those that fit the scale.
 
     Raises:
         ValueError: no frame of one of the two has a log scale.
     """
-    held, beside = val_blocks(len(values), HELD_OUT, BLOCKS, GAP, seed)
-    fitted = np.setdiff1d(np.arange(len(values)), [*held, *beside])
+    held, beside = val_blocks(len(log_scales), HELD_OUT, BLOCKS, GAP, seed)
+    fitted = np.setdiff1d(np.arange(len(log_scales)), [*held, *beside])
     for name, part in (("held-out", held), ("other", fitted)):
-        if not np.isfinite(values[part]).any():
+        if not np.isfinite(log_scales[part]).any():
             raise ValueError(
                 f"none of the {len(part)} {name} frames shows a floor: keep the floor in view in all of the "
                 "recording, or hold out other frames (another seed=)"
@@ -224,13 +224,13 @@ def hold_out_floors(values: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarr
     return np.array(held), fitted
 
 
-def refuse_few(values: np.ndarray) -> None:
+def refuse_few(log_scales: np.ndarray) -> None:
     """Raise ValueError if too few of the frames ``(N,)`` have a log scale."""
-    found = int(np.isfinite(values).sum())
-    if found < max(LEAST_FLOORS, LEAST_SHARE * len(values)):
+    found = int(np.isfinite(log_scales).sum())
+    if found < max(LEAST_FLOORS, LEAST_SHARE * len(log_scales)):
         raise ValueError(
-            f"{found} of {len(values)} frames show a floor: {LEAST_FLOORS} frames and {LEAST_SHARE:.0%} of "
-            "all are needed, because the depth error differs from image to image. Tilt the camera down, or "
+            f"{found} of {len(log_scales)} frames show a floor: {LEAST_FLOORS} frames and {LEAST_SHARE:.0%} "
+            "of all are needed, because the depth error differs from image to image. Tilt the camera down, or "
             "record depth frames"
         )
 

@@ -106,7 +106,7 @@ def draw_bev(
         camera: its field of view is shaded.
         width: of the camera's image [px].
         size: (height, width) of the view [px].
-        reach: depth at the upper edge [m]; None: 10 to 120 m, so that every box is inside.
+        reach: depth at the upper edge [m]; None: as far as the boxes reach, 10 to 120 m.
         truth: other boxes, drawn in gray.
     """
     height, wide = size
@@ -149,9 +149,9 @@ def draw_bev(
 
 
 def bev_reach(boxes: Boxes3D, size: tuple[int, int]) -> float:
-    """Depth [m] at the upper edge of a bird's-eye view of ``size`` that shows every box: 10 to 120 m."""
+    """Depth [m] at the upper edge of a bird's-eye view of ``size`` that shows the boxes: 10 to 120 m."""
     height, wide = size
-    aside = np.abs(boxes.center[:, 0]) * 2 * height / wide  # where the panel is as wide
+    aside = np.abs(boxes.center[:, 0]) * 2 * height / wide  # reach of a view that is wide enough for x
     farthest = float(max(boxes.center[:, 2].max(), aside.max())) if len(boxes) else 10.0
     return float(np.clip(farthest * 1.12 + 2, 10.0, 120.0))
 

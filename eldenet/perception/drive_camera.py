@@ -15,10 +15,10 @@ from eldenet.geometry import check_intrinsics, four_numbers, intrinsic_matrix, l
 from eldenet.perception.drive_labels import place_frames
 from eldenet.results.run_log import RunLog
 
-#: What is refused: factors of the focal length and the height (or one over them), an angle [degrees], a
-#: place [m].
+#: What is given is refused if the drive tells another value: focal length and height by this factor (or one
+#: over it), pitch and yaw by this angle [degrees], the place ahead by this distance [m].
 WRONG_FOCAL, WRONG_HEIGHT, WRONG_ANGLE, WRONG_AHEAD = 1.08, 1.1, 3.0, 0.1
-LEAST_DELAY = 0.03  # of the poses, that is corrected [s]
+LEAST_DELAY = 0.03  # of the poses behind the pictures [s]: a smaller one is left alone
 TELLS = "drive on in curves, among things with texture"
 
 
@@ -35,9 +35,11 @@ def settle_camera(
 
     Args:
         source: pictures in the order of time, a video, or a bag of ROS.
+        poses: with the mount as far as it was given.
         intrinsics: of the source's pictures [px]; None: found, with the principal point in the middle.
         pitch: that was given for a mounted camera [degrees]; None: found.
         ahead: that was given [m]; None: found if the drive tells, else that of ``poses``.
+        log: says what was found.
 
     Raises:
         ValueError: the drive does not tell what was not given, or contradicts what was.
@@ -65,7 +67,7 @@ def settle_camera(
         if fit.focal is not None and not 1 / WRONG_FOCAL < fit.focal < WRONG_FOCAL:
             raise ValueError(
                 f"intrinsics say fx={told[0, 0]:.0f}, but along the poses the pictures, {width} x {height}, "
-                f"move as with fx={found[0, 0]:.0f}: give intrinsics={_said(found)}, or null, or mend the "
+                f"move as with fx={found[0, 0]:.0f}: give intrinsics={_as_setting(found)}, or null, or mend the "
                 "heading"
             )
         found = told
@@ -75,7 +77,7 @@ def settle_camera(
             f"intrinsics=[fx,fy,cx,cy] [px], or {TELLS}"
         )
     else:
-        log.say(f"by the drive, intrinsics={_said(found)}: give them to other commands, too")
+        log.say(f"by the drive, intrinsics={_as_setting(found)}: give them to other commands, too")
     if mounted.mount is None:
         return found, mounted
     moved = np.linalg.inv(poses.cameras[0]) @ mounted.cameras[0]
@@ -150,5 +152,5 @@ def _mounted(
     return replace(poses, cameras=poses.cameras @ moved, mount=mount)
 
 
-def _said(matrix: np.ndarray) -> str:
+def _as_setting(matrix: np.ndarray) -> str:
     return "[" + ",".join(f"{number:.1f}" for number in four_numbers(matrix)) + "]"

@@ -13,7 +13,7 @@ from eldenet.perception.priors import ClassPrior
 from eldenet.uncertainty import DepthEstimate
 
 POINTS = 80  # per object
-_MAX_PIXELS = 400  # per box that are examined
+_EXAMINED = 400  # pixels per box, if it has as many: every k-th row and column, so up to four times as many
 _BORDER = 2.0  # [px]: the image border cuts a box that comes closer to it
 _QUANTILES = (0.5, 0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
 _TOUCH = 3.0  # [px]: boxes this close may hide one another
@@ -73,6 +73,8 @@ def gather(
 
     Args:
         estimate: depth ``(H, W)`` [m]; 0, negative or not finite is unknown. With sigma, pixels weigh by it.
+        detections: in pixels of the depth.
+        camera: of the depth.
         ground: leave out its points; None: keep all.
         priors: of every object; None for an unknown class.
         select: "core": pixels above the ground, around the likely depth of the box's middle; "median": all
@@ -125,7 +127,7 @@ def gather(
 def _box_pixels(
     depth: np.ndarray, detections: Detections2D, index: int, nearer: np.ndarray, back: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns ``(P,)`` of some 400 known pixels of a box, without those of nearer objects."""
+    """Rows and columns ``(P,)`` of the pixels of a box to examine: known, and not of nearer objects."""
     left, top, right, bottom = _pixel_range(detections.xyxy[index], depth.shape)
     crop = depth[top:bottom, left:right]
     known = np.isfinite(crop) & (crop > 0)
@@ -143,7 +145,7 @@ def _box_pixels(
             known = beside
         elif behind.any():
             known = behind
-    stride = max(1, int(np.sqrt(known.sum() / _MAX_PIXELS)))
+    stride = max(1, int(np.sqrt(known.sum() / _EXAMINED)))
     rows, columns = np.nonzero(known[::stride, ::stride])
     return rows * stride + top, columns * stride + left
 
@@ -201,7 +203,8 @@ def expected_depth(
 ) -> np.ndarray:
     """Depth [m] of each object by the height of its class in the image, and its relative error: ``(N, 2)``.
 
-    Where the upper or the lower edge is cut, the width bounds the depth, and the error is large.
+    Where the upper or the lower edge is cut, the width bounds the depth, and the error is large. An object
+    without a prior is at 1 m, with an error of 1000.
     """
     found = np.tile([1.0, 1e3], (len(detections), 1))
     for index, (box, prior, edges) in enumerate(zip(detections.xyxy, priors, trusted, strict=True)):

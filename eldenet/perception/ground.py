@@ -39,9 +39,9 @@ class GroundPlane:
 
 
 def flat_ground(camera_height: float, camera: PinholeCamera | None = None) -> GroundPlane:
-    """Level ground ``camera_height`` [m] below the camera; a driving car tilts by about 0.02 rad.
+    """Level ground ``camera_height`` [m] below the camera; its ``tilt`` is that of a driving car, 0.02 rad.
 
-    Without a camera, it is at the origin of the level frame.
+    Without a camera, the height is that of the level frame's origin.
 
     Raises:
         ValueError: the height is not 0.01 to 20 m.
@@ -56,8 +56,8 @@ def fit_ground(
 ) -> GroundPlane | None:
     """Fit the ground to a depth map ``(H, W)`` [m] (0 or NaN: unknown): RANSAC, then least squares.
 
-    Return None if no plane below the camera, tilted by at most ``max_slope`` [rad] in the level frame, holds
-    a tenth of the lower half of the image.
+    Return None if the lower half of the image has fewer than 50 known pixels, or no plane below the camera,
+    tilted by at most ``max_slope`` [rad] in the level frame, holds a tenth of them.
     """
     rng = np.random.default_rng(0)
     rows, columns = _known_pixels(depth, rng)
@@ -116,8 +116,8 @@ class GroundHomography:
     """Image <-> ground: ``[x, z, 1] ~ M [j, i, 1]``; the plane implies the depth.
 
     The depth of a pixel p on the plane n . X = d is ``h = (d - n . t) / (n . H p)`` with ``H = R K^-1``;
-    inserted in equation 1, this gives a 3x3 matrix. It holds for points on the ground only. At 20 m, one
-    degree of pitch moves a point by a fifth of its distance.
+    inserted in equation 1, this gives a 3x3 matrix. It holds for points on the ground only. From a car's
+    roof, one degree of pitch moves a point at 20 m by a fifth of its distance.
 
     Attributes:
         camera: of the image.

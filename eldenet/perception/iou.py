@@ -56,7 +56,8 @@ def rotated_intersections(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     for row, column in zip(*np.nonzero(apart < reach[0][:, None] + reach[1][None]), strict=True):
         areas[row, column] = intersection_area(corners[0][row], corners[1][column])
     plans = [bev[:, 2] * bev[:, 3] for bev in (first, second)]
-    return np.minimum(areas, np.minimum(plans[0][:, None], plans[1][None]))  # of a box without size too
+    # a footprint without length and width clips nothing away
+    return np.minimum(areas, np.minimum(plans[0][:, None], plans[1][None]))
 
 
 def box_ious(first: Boxes3D, second: Boxes3D) -> tuple[np.ndarray, np.ndarray]:

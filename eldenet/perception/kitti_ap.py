@@ -155,7 +155,7 @@ def _prepare(truth: KittiLabels, found: KittiLabels, kind: str, rules: Difficult
 
 
 def _matched_scores(frame: _Frame, min_overlap: float) -> np.ndarray:
-    """Scores ``(K,)`` of the detections that find a counted object; each takes its best match."""
+    """Scores ``(K,)`` of the detections that find a counted object; each object takes the best score."""
     free = np.ones(len(frame.score), bool)
     scores = []
     for row, overlap in enumerate(frame.overlap):

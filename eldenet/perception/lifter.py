@@ -40,8 +40,8 @@ class BoxLifter:
         lshape: remove the ground, keep the foreground around the likely depth, take the heading from the two
             visible sides and the size from the class, and anchor the box at those sides.
         refine: starting there, one least-squares fit of position, heading, size and a factor on the depth to
-            the points, the 2D box, the ground and the class. The points of people and small things whose
-            depth is unsure count hardly.
+            the points, the 2D box, the ground and the class. Where the depth of people and small things is
+            unsure, their points hardly count.
         no_depth: the same fit without depth, from the 2D box, the class and ``camera_height``: the baseline
             that shows what depth adds.
 
@@ -51,6 +51,7 @@ class BoxLifter:
     box cuts are bounds only.
 
     Args:
+        method: see above.
         priors: sizes by class name.
         ground: "fit" it to the depth, a known plane, or None for no ground.
         camera_height: of the camera above the ground [m], if known: "no_depth" needs it, and "refine" weighs
@@ -58,11 +59,11 @@ class BoxLifter:
         depth_sigma: relative depth error of whole objects; with ``small_sigma``, of objects whose shorter
             side is ``LARGE_SIDE`` pixels or more. None: both are those of the depth's source: of a sparse map
             ``SENSOR_SIGMA``, for it is a LiDAR's, else ``NETWORK_SIGMA``.
-        small_sigma: the same of objects whose shorter side is ``SMALL_SIDE`` pixels; in between, a power law.
-            Networks blur depth at edges, so thin and distant objects have larger errors. None: the same for
-            all. Both are for depth without sigma: where the network predicts sigma, that of an object is the
-            median of its pixels.
-        occlusion_mask: leave out pixels in nearer boxes.
+        small_sigma: the same of objects whose shorter side is ``SMALL_SIDE`` pixels, 0.5 at most; in
+            between, a power law. Networks blur depth at edges, so thin and distant objects have larger
+            errors. None: the same for all. Both are for depth without sigma: where the network predicts
+            sigma, that of an object is the median in the middle of its 2D box.
+        occlusion_mask: leave out pixels in nearer boxes; "paper" never does.
 
     Raises:
         ValueError: unknown method, or a number out of range.
@@ -129,29 +130,10 @@ class BoxLifter:
             raise ValueError(f"depth of shape {depth.shape}: give (H, W) in meters")
         if depth.dtype.kind in "iub":
             check_meters(depth)
-        height, width = depth.shape
-        count = len(detections)
-        if not count:
+        if not len(detections):
             return Boxes3D.empty(detections.names)
-        mask = detections.mask
-        if mask is not None and (mask.shape != (count, height, width) or mask.dtype != bool):
-            raise ValueError(
-                f"mask of shape {mask.shape} and type {mask.dtype}: give bool {(count, height, width)}, one "
-                "map a box in the size of the depth"
-            )
-        reach = detections.xyxy[:, 2:].max(0)
-        ends = np.array([width - 0.5, height - 0.5])
-        inside = np.clip(detections.xyxy, -0.5, np.tile(ends, 2))
-        outside = np.flatnonzero(((detections.xyxy[:, 2:] < -0.5) | (detections.xyxy[:, :2] > ends)).any(1))
-        if outside.size or reach[0] > MOST_BEYOND * width or reach[1] > MOST_BEYOND * height:
-            wrong = detections.xyxy[outside[0] if outside.size else detections.xyxy[:, 2:].max(1).argmax()]
-            raise ValueError(
-                f"box {wrong.round(1).tolist()}, but the depth is {height} x {width}: give both for the same "
-                "image, boxes as left, top, right, bottom"
-            )
-        if reach.max() <= 1:
-            raise ValueError("no box reaches beyond the first pixel: give pixels, not shares of the picture")
-        detections = replace(detections, xyxy=inside)
+        height, width = depth.shape
+        detections = _inside(detections, height, width)
         check_intrinsics(camera.intrinsics, (height, width))
         _warn_of_odd_depth(depth)
         priors = [prior_of(name, self.priors) for name in detections.classes]
@@ -198,18 +180,49 @@ class BoxLifter:
             "truncated": border_cuts(detections.xyxy, (height, width)).any(1).astype(float),
         }
         if estimate.distribution is not None and self.method != "no_depth":
-            # depth moves a box along its line of sight, which may pass the origin
-            factors = DepthEstimate(np.ones(count), sigma, estimate.distribution).interval(DISTANCE_LEVEL)
-            eye, sight = camera.translation[[0, 2]], (raw.center - camera.translation)[:, [0, 2]]
-            nearest = np.clip(-(sight @ eye) / np.maximum((sight**2).sum(1), 1e-9), *factors)
-            near, one, other = (
-                np.linalg.norm(eye + at[:, None] * sight, axis=1) for at in (nearest, *factors)
-            )
-            quality |= {"distance_low": near, "distance_high": np.maximum(one, other)}
+            factors = DepthEstimate(np.ones(len(raw.yaw)), sigma, estimate.distribution)
+            low, high = _distances(raw.center, camera.translation, factors.interval(DISTANCE_LEVEL))
+            quality |= {"distance_low": low, "distance_high": high}
         return Boxes3D(
             raw.center, raw.size, wrap_half(raw.yaw), detections.score, detections.label, detections.names,
             quality, detections.track_id,
         )  # fmt: skip
+
+
+def _inside(detections: Detections2D, height: int, width: int) -> Detections2D:
+    """Cut the boxes to a depth map; ValueError if they or their masks are those of another image."""
+    mask, wanted = detections.mask, (len(detections), height, width)
+    if mask is not None and (mask.shape != wanted or mask.dtype != bool):
+        raise ValueError(
+            f"mask of shape {mask.shape} and type {mask.dtype}: give bool {wanted}, one map a box in the "
+            "size of the depth"
+        )
+    xyxy, ends = detections.xyxy, np.array([width - 0.5, height - 0.5])
+    reach = xyxy[:, 2:].max(0)
+    outside = np.flatnonzero(((xyxy[:, 2:] < -0.5) | (xyxy[:, :2] > ends)).any(1))
+    if outside.size or reach[0] > MOST_BEYOND * width or reach[1] > MOST_BEYOND * height:
+        wrong = xyxy[outside[0] if outside.size else xyxy[:, 2:].max(1).argmax()]
+        raise ValueError(
+            f"box {wrong.round(1).tolist()}, but the depth is {height} x {width}: give both for the same "
+            "image, boxes as left, top, right, bottom"
+        )
+    if reach.max() <= 1:
+        raise ValueError("no box reaches beyond the first pixel: give pixels, not shares of the picture")
+    return replace(detections, xyxy=np.clip(xyxy, -0.5, np.tile(ends, 2)))
+
+
+def _distances(
+    center: np.ndarray, eye: np.ndarray, factors: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest distance ``(N,)`` [m] of centers ``(N, 3)`` whose depth is off by some factor.
+
+    Depth moves a box along its line of sight from the ``eye (3,)``, which may pass the origin. ``factors``
+    are the least and the greatest one ``(N,)``.
+    """
+    sight, eye = (center - eye)[:, [0, 2]], eye[[0, 2]]
+    nearest = np.clip(-(sight @ eye) / np.maximum((sight**2).sum(1), 1e-9), *factors)
+    low, *ends = (np.linalg.norm(eye + at[:, None] * sight, axis=1) for at in (nearest, *factors))
+    return low, np.maximum(*ends)
 
 
 def _warn_of_odd_depth(depth: np.ndarray) -> None:
@@ -227,9 +240,11 @@ def _warn_of_odd_depth(depth: np.ndarray) -> None:
 
 def sigma_by_side(xyxy: np.ndarray, large: float, small: float | None) -> np.ndarray:
     """Relative depth error ``(N,)`` by the shorter side of 2D boxes ``(N, 4)``; see :class:`BoxLifter`."""
+    if small is None:
+        return np.full(len(xyxy), large)
     side = np.minimum(xyxy[:, 2] - xyxy[:, 0], xyxy[:, 3] - xyxy[:, 1])
     share = np.log(LARGE_SIDE / np.clip(side, SMALL_SIDE / 2, LARGE_SIDE)) / np.log(LARGE_SIDE / SMALL_SIDE)
-    return np.asarray(np.minimum(large * ((small or large) / large) ** share, 0.5 if small else 1.0))
+    return np.asarray(np.minimum(large * (small / large) ** share, SIGMA_RANGE[1]))
 
 
 def sigma_in_boxes(spread: np.ndarray, xyxy: np.ndarray, default: float) -> np.ndarray:

@@ -35,7 +35,8 @@ _PICK_UP = ClassPrior((5.2, 1.95, 1.9), (0.2, 0.1, 0.12), "vehicle")
 _TRUCK = ClassPrior((6.5, 2.2, 2.6), (0.35, 0.15, 0.25), "vehicle", (_BOX_TRUCK, _PICK_UP))  # COCO's are both
 _PERSON = ClassPrior((0.67, 0.61, 1.71), (0.3, 0.25, 0.08), "upright")
 
-#: Means over KITTI's tracking labels (17,332 cars), under KITTI's and COCO's names; the last four are rough.
+#: Under KITTI's and COCO's names. Cars, vans, pedestrians and cyclists: means over KITTI's tracking labels
+#: (17,332 cars); the others are rough.
 PRIORS: Mapping[str, ClassPrior] = {
     "car": _CAR,
     "van": _VAN,

@@ -11,7 +11,7 @@ HEIGHTS = {"chair": 0.85, "refrigerator": 1.7, "toilet": 0.75, "microwave": 0.3,
 LEAST_OBJECTS = 3
 TOLERANCE = 2.5  # factor: hidden feet, people who sit and cut boxes stay below it
 UPRIGHT = 1.8  # least height of a standing person's box, in widths
-ROOMS, STREETS = 25.0, 40.0  # greatest depth of rooms' weights, least greatest depth of streets' [m]
+ROOMS, STREETS = 25.0, 40.0  # [m]: weights for rooms reach no farther, weights for streets reach farther
 
 
 class SizeCheck:

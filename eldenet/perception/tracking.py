@@ -2,8 +2,8 @@
 
 A constant-velocity Kalman filter per object and an optimal assignment per frame, following Weng et al., "3D
 Multi-Object Tracking: A Baseline and New Evaluation Metrics", IROS 2020; written from the paper. A detection
-belongs to the track whose 2D box overlaps it, and of several to the nearer one in bird's-eye view; where no
-2D box overlaps, the distance alone counts. Depth is often wrong where the 2D box is right.
+belongs to the track whose 2D box overlaps it most; the distance in bird's-eye view counts little, for depth
+is often wrong where the 2D box is right. Where no 2D box overlaps, the distance alone counts.
 """
 
 from dataclasses import dataclass, field, replace
@@ -15,12 +15,12 @@ from eldenet.perception.iou import iou_2d
 
 _STATE = 10  # x, y, z, yaw, length, width, height, then the velocity of x, y, z
 _MEASURED = 7
-_UNPAIRED = 1.0  # cost of two that do not belong together: no more, or they would break up good pairs
+_UNPAIRED = 1.0  # cost of a pair that is not allowed: a higher one would break up good pairs
 _MOVING = 1.0  # [m/s]: a lower speed may be noise
 _LEAST_OVERLAP = 0.2  # of a track's 2D box with a detection: with less, only the distance counts
 _ALONE = 0.5  # least cost of a pair whose 2D boxes do not overlap
-_BEV_SHARE = 0.1  # of the cost comes from the distance where 2D boxes overlap
-_SMOOTHING, _SPEED_SMOOTHING = 0.7, 0.3  # shares of a 2D box's surprise that its place and its speed take
+_BEV_SHARE = 0.1  # share of the distance in the cost of a pair whose 2D boxes overlap
+_SMOOTHING, _SPEED_SMOOTHING = 0.7, 0.3  # shares of a 2D box's surprise that move its place, its speed
 
 
 @dataclass
@@ -34,8 +34,8 @@ class Track:
         covariance: ``(10, 10)``.
         score: of the last detection.
         hits: frames in which it was detected.
-        missed: frames since then.
-        unseen: seconds since then.
+        missed: frames since the last detection.
+        unseen: seconds since the last detection.
         quality: of the last detection.
         heading_known: its motion has shown where its front is.
         xyxy: ``(4,)`` its 2D box [px]; None: not known.
@@ -66,8 +66,8 @@ class BoxTracker:
 
     Args:
         max_distance: from a detection to the predicted center of its track [m].
-        min_hits: frames in which a new object must be detected before it is reported (except in the first
-            frames).
+        min_hits: frames in which a new object must be detected before it is reported. The first
+            ``min_hits`` frames report all.
         max_age: frames in a row without a detection after which a track is deleted.
         position_sigma: of a measured center at 10 m [m]; it grows with distance.
         acceleration: of the objects, standard deviation [m/s2].
