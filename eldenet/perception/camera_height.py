@@ -230,8 +230,8 @@ def refuse_few(log_scales: np.ndarray) -> None:
     if found < max(LEAST_FLOORS, LEAST_SHARE * len(log_scales)):
         raise ValueError(
             f"{found} of {len(log_scales)} frames show a floor: {LEAST_FLOORS} frames and {LEAST_SHARE:.0%} "
-            "of all are needed, because the depth error differs from image to image. Tilt the camera down, or "
-            "record depth frames"
+            "of all are needed, because the depth error differs from image to image. Tilt the camera down, "
+            "or record depth frames"
         )
 
 

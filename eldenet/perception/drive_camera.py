@@ -47,11 +47,11 @@ def settle_camera(
     _, picture, _, _ = next(place_frames(source, poses))
     size = height, width = picture.shape[:2]
     if intrinsics is None:
-        told = pinhole(width, width, (width - 1) / 2, (height - 1) / 2)
+        assumed = pinhole(width, width, (width - 1) / 2, (height - 1) / 2)
     else:
-        told = intrinsic_matrix(intrinsics)  # type: ignore[arg-type]
-    check_intrinsics(told, size)
-    depth = MotionDepth(told, size)
+        assumed = intrinsic_matrix(intrinsics)  # type: ignore[arg-type]
+    check_intrinsics(assumed, size)
+    depth = MotionDepth(assumed, size)
     frames = (frame for frame in place_frames(source, poses) if frame[1].shape == picture.shape)
     pairs = find_pairs(depth.view(*frame) for frame in frames)
     forward = None if poses.mount is None else level_rotation(poses.mount.pitch).T[:, 2]
@@ -61,23 +61,23 @@ def settle_camera(
         poses = replace(poses, seconds=poses.seconds - delay)
         pairs = moved_pairs(pairs, poses, 0.0)
     fit = fit_camera(pairs, depth.seen_intrinsics, forward)
-    found = told * np.array([[fit.focal or 1.0, 1, 1], [1, fit.focal or 1.0, 1], [1, 1, 1]])
+    found = assumed * np.array([[fit.focal or 1.0, 1, 1], [1, fit.focal or 1.0, 1], [1, 1, 1]])
     mounted = _mounted(poses, fit, pitch, ahead, log)
     if intrinsics is not None:
         if fit.focal is not None and not 1 / WRONG_FOCAL < fit.focal < WRONG_FOCAL:
             raise ValueError(
-                f"intrinsics say fx={told[0, 0]:.0f}, but along the poses the pictures, {width} x {height}, "
-                f"move as with fx={found[0, 0]:.0f}: give intrinsics={_as_setting(found)}, or null, or mend the "
-                "heading"
+                f"intrinsics say fx={assumed[0, 0]:.0f}, but along the poses the pictures, {width} x "
+                f"{height}, move as with fx={found[0, 0]:.0f}: give intrinsics={_setting(found)}, or null, "
+                "or mend the heading"
             )
-        found = told
+        found = assumed
     elif fit.focal is None:
         raise ValueError(
             "the drive does not tell the lens: check heading (counter-clockwise) and clock, give "
             f"intrinsics=[fx,fy,cx,cy] [px], or {TELLS}"
         )
     else:
-        log.say(f"by the drive, intrinsics={_as_setting(found)}: give them to other commands, too")
+        log.say(f"by the drive, intrinsics={_setting(found)}: give them to other commands, too")
     if mounted.mount is None:
         return found, mounted
     moved = np.linalg.inv(poses.cameras[0]) @ mounted.cameras[0]
@@ -152,5 +152,5 @@ def _mounted(
     return replace(poses, cameras=poses.cameras @ moved, mount=mount)
 
 
-def _as_setting(matrix: np.ndarray) -> str:
+def _setting(matrix: np.ndarray) -> str:
     return "[" + ",".join(f"{number:.1f}" for number in four_numbers(matrix)) + "]"

@@ -14,19 +14,22 @@ from eldenet.simulation.rendering.shading import Room
 
 
 def add_fittings(d: Draw, m: Materials, room: Room, walls: Sequence[Wall]) -> list[Body]:
-    """Return bodies that fit into a furnished room, and let the sun in."""
+    """Return bodies to add to a furnished room; add sockets, coats ... to its walls, and suns to ``room``.
+
+    Only coats avoid what is there already.
+    """
     if m.daylight > 0 and d.chance(0.5):
         room.suns += [sun for wall in walls for sun in _suns(d, m, wall)][:2]
     sx, sy, h = room.size
     body = Body()
-    chances = ((_fan, 0.18 if h > 2.35 else 0.0), (_beams, 0.12), (_pipes, 0.12), (_track, 0.1))
+    chances = ((_fan, 0.18 if h > 2.35 else 0.0), (_beams, 0.12), (_pipes, 0.12), (_lamp_rail, 0.1))
     for add, probability in chances:
         if d.chance(probability):
             add(d, m, body, (sx, sy, h))
     for wall in walls:
-        _along(d, m, wall)
+        _at_wall(d, m, wall)
     scattered = [_heap(d, m, room) for _ in range(d.integer(0, 4))]
-    scattered += [_on_seats(d, m, piece) for piece in room.obstacles if piece[4] < 1.0 and d.chance(0.3)]
+    scattered += [_clothes_on(d, m, piece) for piece in room.obstacles if piece[4] < 1.0 and d.chance(0.3)]
     return [part for part in (body, *scattered) if part.geoms]
 
 
@@ -71,7 +74,7 @@ def _beams(d: Draw, m: Materials, b: Body, size: tuple[float, float, float]) -> 
 
 
 def _pipes(d: Draw, m: Materials, b: Body, size: tuple[float, float, float]) -> None:
-    """Pipes or ducts below the ceiling, one of them down a wall."""
+    """Pipes or ducts below the ceiling, and a white pipe in a corner."""
     sx, sy, h = size
     for _ in range(d.integer(1, 3)):
         y, z = d.uniform(-0.45, 0.45) * sy, h - d.uniform(0.12, 0.35)
@@ -80,8 +83,8 @@ def _pipes(d: Draw, m: Materials, b: Body, size: tuple[float, float, float]) -> 
     b.limb((sx / 2 - 0.06, -sy / 2 + 0.08, 0), (sx / 2 - 0.06, -sy / 2 + 0.08, h), 0.025, m.white)
 
 
-def _track(d: Draw, m: Materials, b: Body, size: tuple[float, float, float]) -> None:
-    """Lamps on a rail."""
+def _lamp_rail(d: Draw, m: Materials, b: Body, size: tuple[float, float, float]) -> None:
+    """Lamps on a rail below the ceiling."""
     sx, sy, h = size
     y = d.uniform(-0.3, 0.3) * sy
     b.box((0, y, h - 0.06), (sx * 0.6, 0.04, 0.03), m.dark)
@@ -89,8 +92,8 @@ def _track(d: Draw, m: Materials, b: Body, size: tuple[float, float, float]) -> 
         b.cylinder(((k - 1.5) * sx * 0.15, y, h - 0.25), 0.05, 0.14, m.dark, euler=(d.uniform(-40, 40), 0, 0))
 
 
-def _along(d: Draw, m: Materials, wall: Wall) -> None:
-    """Sockets and cables, coats on hooks, towels, shoes and bags at a wall."""
+def _at_wall(d: Draw, m: Materials, wall: Wall) -> None:
+    """Sockets and cables, coats on hooks, pairs of shoes, and a board that leans against the wall."""
     body, half = wall.body, wall.length / 2
     for _ in range(d.integer(0, 3)):
         x = d.uniform(-half, half) * 0.95
@@ -136,7 +139,7 @@ def _coats(d: Draw, m: Materials, wall: Wall) -> None:
 
 
 def _heap(d: Draw, m: Materials, room: Room) -> Body:
-    """Clothes, bags, papers or toys on the floor, anywhere."""
+    """Clothes and small objects on the floor, anywhere."""
     sx, sy, _ = room.size
     b = Body((d.uniform(-0.45, 0.45) * sx, d.uniform(-0.45, 0.45) * sy, 0), d.uniform(0, 360))
     if d.chance(0.4):
@@ -146,10 +149,10 @@ def _heap(d: Draw, m: Materials, room: Room) -> Body:
     return b
 
 
-def _on_seats(d: Draw, m: Materials, piece: tuple[float, float, float, float, float]) -> Body:
-    """Clothes, a bag or a box on a low piece of furniture."""
-    x0, y0, x1, y1, _ = piece
-    top = piece[4] * 0.55
+def _clothes_on(d: Draw, m: Materials, piece: tuple[float, float, float, float, float]) -> Body:
+    """Clothes about where one sits on a low piece, a row of ``Room.obstacles``; in a doorway on the floor."""
+    x0, y0, x1, y1, height = piece
+    top = height * 0.55
     b = Body(((x0 + x1) / 2, (y0 + y1) / 2, 0), d.uniform(0, 360))
     _clothes(d, m, b, top, min(x1 - x0, y1 - y0) * 0.4)
     return b

@@ -26,7 +26,7 @@ class Kind(NamedTuple):
     height: Range  # range of the ceiling [m]
     along: tuple[Item, ...]  # items along the walls
     middle: tuple[Item, ...]  # items in the open
-    groups: tuple[int, int]  # range of the number of those
+    groups: tuple[int, int]  # range of the number of those, and large rooms have more
 
 
 TABLE = Item(f.table, (0.8, 1.8), (0.6, 1.0), 0.75)

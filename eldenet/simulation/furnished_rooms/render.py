@@ -35,7 +35,7 @@ def stacked(frames: Iterable[Sequence[np.ndarray]]) -> Views:
 class Shares(TypedDict, total=False):
     """What a data set may show more of."""
 
-    near: float  # share of frames of what is close: half of their pixels within 0.3 to 1.2 m
+    near: float  # share of frames of what is close, their median depth is 0.3 to 1.2 m
     down: float  # share of frames that look down at the floor and what stands on it
     plain: float  # share of rooms whose surfaces have no pattern
 
@@ -112,11 +112,11 @@ def _best_of(count: int, candidate: Callable[[], tuple[float, Pose] | None]) -> 
 def choose_pose(room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False) -> Pose:
     """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera on a robot or in a hand.
 
-    A robot's is 0.25 to 1.0 m above the floor, a hand's 1.2 to 1.8 m. A robot has three of ten frames, and
-    one of ten with ``by_hand``, where hands are steadier too.
+    On a robot it is 0.25 to 1.0 m above the floor, in a hand 1.2 to 1.8 m. A robot has three of ten
+    candidates, and one of ten with ``by_hand``, where hands are steadier too.
 
-    Each candidate casts a handful of rays; the first that is neither too close to a wall nor faces an empty
-    room is taken.
+    Each of up to 12 candidates casts a handful of rays. The first that is close to nothing, has several geoms
+    in view and a median depth of at most 7 m is taken, else the one that misses this least.
     """
     probe = _handful_of_rays(camera)
     sx, sy, h = room.room.size
@@ -156,9 +156,9 @@ def choose_pose(room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: b
 def choose_pose_near(room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_hand: bool = False) -> Pose:
     """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera close to things or a wall.
 
-    Of 20 candidates, the one whose median depth is closest to a drawn one of 0.3 to 1.2 m is taken; no pixel
-    of its handful of rays is nearer than 0.15 m, and several things are in view: in :func:`choose_pose` few
-    frames show a bare wall, so bare walls here alone would teach that what is bare is near.
+    The best of 20 candidates is taken: a median depth near a drawn one of 0.3 to 1.2 m, nothing nearer than
+    0.15 m, several things in view. Without the last, most frames of bare walls would be near ones, and teach
+    that what is bare is near.
     """
     probe = _handful_of_rays(camera)
     sx, sy, h = room.room.size
@@ -185,8 +185,8 @@ def choose_pose_down(room: CompiledRoom, camera: RayCamera, draw: Draw, *, by_ha
     """Draw position ``(3,)`` [m] and rotation ``(3, 3)`` of a camera that looks down at the floor.
 
     It is 0.3 to 1.8 m above the floor (1.0 m without ``by_hand``) and looks 17 to 60 degrees below the
-    horizon. Of 20 candidates, the first whose middle sees about as far as the floor, with a thing in view, is
-    taken.
+    horizon. Of 20 candidates, the first that has three geoms in view and a median depth of about that of the
+    floor, or more, is taken, else the one that misses this least.
     """
     probe = _handful_of_rays(camera)
     sx, sy, h = room.room.size

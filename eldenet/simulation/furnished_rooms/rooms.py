@@ -19,7 +19,11 @@ SPLITS = {"train": 0, "val": 1, "test": 2}
 
 
 def generate_room(split: str, index: int, detail: bool = False, plain: float = 0.0) -> Room:
-    """Generate room ``index`` of a split; ``plain`` is the chance that its surfaces have no pattern."""
+    """Generate room ``index`` of a split.
+
+    ``detail`` is that of :func:`.render.render_room`; ``plain`` is the chance that its surfaces have no
+    pattern.
+    """
     draw = Draw((SPLITS[split], index, 0))
     details = Draw((SPLITS[split], index, 7)) if detail else None
     return _Builder(draw, details, Draw((SPLITS[split], index, 8)).chance(plain)).build()

@@ -13,7 +13,7 @@ SIDES = (
     ((1.0, 0.0), (0.0, -1.0), 270.0),
 )
 
-Span = tuple[float, float]
+Span = tuple[float, float]  # low and high x along the wall [m]
 
 
 def overlaps(span: Span, others: list[Span]) -> bool:
@@ -36,8 +36,8 @@ class Wall:
         self.body = Body((-self.normal[0] * back, -self.normal[1] * back, 0.0), self.yaw)
         self.taken: list[Span] = []  # by doors
         self.high: list[Span] = []  # in use at eye height
-        self.doorway: Span | None = None  # x and width of a door to keep free
-        self.lights: list[tuple[float, ...]] = []  # rows as in Room
+        self.doorway: tuple[float, float] | None = None  # x and width of a door to keep free [m]
+        self.lights: list[tuple[float, ...]] = []  # rows of Room.lights
         self.windows: list[tuple[float, float, float, float]] = []  # x, width, lower and upper edge [m]
 
     def to_world(self, x: float, y: float) -> tuple[float, float]:

@@ -132,8 +132,8 @@ class Sun(NamedTuple):
     center: tuple[float, float, float]  # of the window [m]
     along: tuple[float, float, float]  # the wall
     normal: tuple[float, float, float]  # of the wall, inwards
-    toward: tuple[float, float, float]  # the sun
-    half: tuple[float, float]  # width and height [m]
+    toward: tuple[float, float, float]  # the sun: unit direction
+    half: tuple[float, float]  # of the window's width and height [m]
     strength: float  # of its light
 
 

@@ -1,7 +1,8 @@
 """From a compiled room to linear RGB: light, surfaces, textures.
 
-Lambertian shading with a few point lights (distance fall-off; the strongest casts shadows at a quarter of
-the resolution), ambient light that fades in corners and behind furniture, gloss, textures from the atlas.
+Lambertian shading with the three strongest point lights (distance fall-off; the strongest, with ``detail``
+two, cast shadows at a quarter of the resolution), ambient light that fades in corners and behind furniture,
+gloss, textures from the atlas.
 Arrays are ``(3, N)``, a row per coordinate or color: NumPy is several times faster on those.
 """
 
@@ -35,8 +36,8 @@ class Room:
     # body number in the model -> maker ("chair", "person", ...) of the furniture and people
     pieces: dict[int, str] = field(default_factory=dict)
     ambient: float = 0.5  # share of the light that comes from everywhere
-    suns: list[Sun] = field(default_factory=list)  # sun that falls through a window; only seen with detail
-    detail: bool = False  # light bounces once, and it is darker where things touch
+    suns: list[Sun] = field(default_factory=list)  # sun that falls through a window
+    detail: bool = False  # light bounces once, two lights cast shadows, and it is darker where things touch
 
 
 class CompiledRoom:
@@ -48,6 +49,7 @@ class CompiledRoom:
         self.room = room
         self.model: Any = mujoco.MjModel.from_xml_string(room.text)
         self.data: Any = mujoco.MjData(self.model)  # call update() after moving a body
+        self._read_materials()
         self.update()
         self.glows = glows(self) if room.detail and room.kind != "street" else []
 
@@ -55,15 +57,19 @@ class CompiledRoom:
         """Recompute where every geom is."""
         import mujoco
 
-        model, data = self.model, self.data
-        mujoco.mj_kinematics(model, data)
+        mujoco.mj_kinematics(self.model, self.data)
+        rotation = self.data.geom_xmat.astype(np.float32)
+        self.rotation = np.ascontiguousarray(rotation.T)  # (9, G)
+        place = np.einsum("gij,gi->jg", rotation.reshape(-1, 3, 3), self.data.geom_xpos)
+        self.origin = place.astype(np.float32)  # (3, G) in the geom's own axes
+
+    def _read_materials(self) -> None:
+        """Read the look of every geom, and how textures lie on its faces."""
+        model = self.model
         table = model.numeric_data.reshape(-1, Palette.COLUMNS).astype(np.float32)[model.geom_matid]
         self.colors = np.ascontiguousarray(table[:, :9].T)
         self.pattern = table[:, 9].astype(np.int32)
         self.gloss, self.emission, offset = (np.ascontiguousarray(table[:, k]) for k in (12, 13, 14))
-        rotation = data.geom_xmat.astype(np.float32)
-        self.rotation = np.ascontiguousarray(rotation.T)  # (9, G)
-        self.origin = np.einsum("gij,gi->jg", rotation.reshape(-1, 3, 3), data.geom_xpos).astype(np.float32)
         half = model.geom_aabb[:, 3:].astype(np.float32)
         half = np.where((half > 0) & (half < 1e3), half, np.float32(1.0))  # planes have no extent
         # per geom and face axis: texture coordinate = local * scale + shift

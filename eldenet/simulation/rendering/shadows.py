@@ -22,7 +22,8 @@ def shadow(
 ) -> np.ndarray:
     """Return the visibility ``(N,)`` of a light, cast at ``1 / stride`` of the resolution and softened.
 
-    What is farther than ``far`` [m] from the light counts as lit.
+    It is 1 in the light and 0.12 in full shadow, where scattered light remains. What is farther than ``far``
+    [m] from the light counts as lit.
     """
     height, width = size
     points = hits.point.reshape(3, height, width)[:, 1::stride, 1::stride]
