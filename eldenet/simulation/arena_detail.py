@@ -58,7 +58,7 @@ def _obstacle(d: Draw, m: Materials, obstacle: Obstacle) -> str:
 
 
 def _hall(d: Draw, m: Materials, b: Body, side: float) -> None:
-    """Floor, ceiling, the low walls with doors and windows painted on, and the hall around them."""
+    """Floor, ceiling, low walls with doors and windows, the hall around them, what hangs, and cables."""
     half, thick, outer = side / 2, 0.05, side / 2 + 1
     b.plane((0, 0, 0), (0, 0, 1), m.floor)
     b.plane((0, 0, CEILING), (0, 0, -1), m.ceiling)

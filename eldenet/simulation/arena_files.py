@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from eldenet.simulation.arenas import INFLATION, RESOLUTION, Arena, clearance_map, reachable
+from eldenet.simulation.arenas import (
+    INFLATION,
+    RESOLUTION,
+    VEHICLE_HALF,
+    VEHICLE_HEIGHT,
+    Arena,
+    clearance_map,
+    reachable,
+)
 from eldenet.simulation.obstacle import SIDE, Obstacle, Point
 from eldenet.simulation.pedestrians import PERSON_RADIUS
 from eldenet.system.checks import one_of
@@ -28,7 +36,6 @@ KINDS: dict[str, dict[str, Any]] = {
     "vehicle": {"yaw": 0.0},
     "person": {"height": 1.7, "path": [], "speed": 0.6},
 }
-VEHICLE_HALF, VEHICLE_HEIGHT = (0.6, 0.35), 0.6  # [m], as in drawn arenas
 
 
 def read_arena(path: str | Path) -> Arena:
@@ -109,8 +116,10 @@ def _check_way(points: Sequence[Point], obstacles: Sequence[Obstacle], side: flo
                 f"robot needs {INFLATION} m"
             )
         found.append(int(regions[row, column]))
-    for place in np.flatnonzero(np.diff(found)).tolist():
-        raise ValueError(f"there is no way from {names[place]} to {names[place + 1]}: obstacles close it")
+    if (broken := np.flatnonzero(np.diff(found))).size:
+        raise ValueError(
+            f"there is no way from {names[broken[0]]} to {names[broken[0] + 1]}: obstacles close it"
+        )
 
 
 def _entries(name: str, content: Any, known: Mapping[str, Any]) -> dict[str, Any]:
@@ -121,7 +130,7 @@ def _entries(name: str, content: Any, known: Mapping[str, Any]) -> dict[str, Any
         one_of(f"{name}: key", str(key), tuple(known))
     entries = {**known, **content}
     for key, value in entries.items():
-        if value is None or value == [] != known[key]:
+        if value is None or (value == [] and known[key] is None):
             raise ValueError(f"{name} has no {key}: add it")
     return entries
 

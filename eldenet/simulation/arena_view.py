@@ -30,8 +30,8 @@ _LIGHT = (0.05, 3.0)  # dim to glaring, as a share of a normal day's
 _MAX_OBSTACLES, _MAX_PEDESTRIANS = 80, 10
 _MIN_PIXELS = 20  # of an object that a detector can find
 _MIN_CLEARANCE = 0.30  # around the robot's center [m]
-_CLOSE = 0.8  # clearance of a robot among obstacles [m]
-_NOSE_TO_WALL = 0.4  # median depth [m]
+_CLOSE = 0.8  # clearance below which a robot is among obstacles [m]
+_NOSE_TO_WALL = 0.4  # median depth up to which a pose is drawn again [m]
 
 
 class Photo(NamedTuple):
@@ -172,7 +172,7 @@ def arena_photos(
 
 
 def _draw_pose(draw: Draw, arena: Arena, clearance: np.ndarray, time: float) -> tuple[float, float, float]:
-    """Draw a place where the robot fits by ``clearance (n, n)`` [m], and any heading."""
+    """Draw a place with some ``clearance (n, n)`` [m] and away from people, and any heading."""
     people = [pedestrian.position(time) for pedestrian in arena.pedestrians]
     far = _CLOSE if draw.chance(0.5) else np.inf
     places = np.argwhere((clearance >= _MIN_CLEARANCE) & (clearance < far))

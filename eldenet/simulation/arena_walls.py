@@ -179,13 +179,13 @@ def draw_maze(draw: Draw) -> Walls:
             across, along = (second[0], first[1]) if upright else (second[1], first[0])
             low = along * pitch - half
             boxes.append(_wall(across * pitch - half, (low, low + pitch), upright))
-    start = draw.pick(cells)
-    goal = draw.pick([cell for cell in cells if math.dist(cell, start) >= MAZE / 2])
-    (x, y), ahead = (
-        (round((c + 0.5) * pitch - half, 4), round((r + 0.5) * pitch - half, 4)) for c, r in (start, goal)
+    first = draw.pick(cells)
+    last = draw.pick([cell for cell in cells if math.dist(cell, first) >= MAZE / 2])
+    (x, y), goal = (
+        (round((c + 0.5) * pitch - half, 4), round((r + 0.5) * pitch - half, 4)) for c, r in (first, last)
     )
     heading = round(draw.uniform(-math.pi, math.pi), 4)
-    return Walls(tuple(boxes), (), ((x, y, heading), ahead), narrow=True)
+    return Walls(tuple(boxes), (), ((x, y, heading), goal), narrow=True)
 
 
 def draw_corridor(draw: Draw) -> Walls:
@@ -215,8 +215,8 @@ def draw_corridor(draw: Draw) -> Walls:
     if draw.chance(0.5):  # along the other axis
         boxes = [replace(wall, x=wall.y, y=wall.x, half=wall.half[::-1]) for wall in boxes]
         (x, y), goal = (y, x), goal[::-1]
-    first = (round(float(x), 4), round(float(y), 4), heading)
-    return Walls(tuple(boxes), (), (first, (round(float(goal[0]), 4), round(float(goal[1]), 4))), narrow=True)
+    start = (round(float(x), 4), round(float(y), 4), heading)
+    return Walls(tuple(boxes), (), (start, (round(float(goal[0]), 4), round(float(goal[1]), 4))), narrow=True)
 
 
 def _frame(half_x: float, half_y: float) -> list[Obstacle]:

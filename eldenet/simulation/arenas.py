@@ -1,8 +1,8 @@
 """Walled arenas with cylinders, boxes, vehicles and people, a start and a goal that can be reached.
 
-An arena depends on ``(kind, split, density, pedestrians, index)`` alone and is the same on every machine
-(:class:`~eldenet.simulation.rendering.mjcf.Draw`, four decimals). The splits share no seed, so no arena is in
-two of them.
+An arena depends on ``(kind, split, density, pedestrians, index, min_distance)`` alone and is the same on
+every machine (:class:`~eldenet.simulation.rendering.mjcf.Draw`, four decimals). The splits share no seed, so
+no arena is in two of them.
 """
 
 import json
@@ -30,7 +30,7 @@ from eldenet.system.digests import digest_of
 
 #: First number of every split's seeds; no other seed of this package starts with these.
 SPLITS = {"train": 100, "val": 101, "test": 102}
-#: Kinds of arenas: what draws the walls, and the number that ends the seeds; open ones have none.
+#: Kinds of arenas: what draws the walls, and the numbers that end the seeds; open ones have none.
 KINDS: dict[str, tuple[Callable[[Draw], Walls], tuple[int, ...]]] = {
     "open": (lambda _: OPEN, ()),
     "rooms": (draw_rooms, (1,)),
@@ -44,15 +44,16 @@ RESOLUTION = 0.1  # of the grid on which the goal must be reachable [m]
 INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
 START_CLEARANCE, GOAL_CLEARANCE = 1.0, 0.8  # [m]
 MAX_CLEARANCE = 1.6  # of a clearance map [m]
+VEHICLE_HALF, VEHICLE_HEIGHT = (0.6, 0.35), 0.6  # half length and width, height [m]
 
 
 @dataclass(frozen=True)
 class Arena:
-    """A world, a start and a goal."""
+    """A world, a start and way-points."""
 
     split: str  # whose seed it has; "" for one that was written by hand
     density: int  # number of standing obstacles beside the walls
-    index: int  # within the split and density
+    index: int  # within the kind, split, density and number of pedestrians
     obstacles: tuple[Obstacle, ...]  # standing ones, then pedestrians
     start: tuple[float, float, float]  # x, y [m] and heading [rad] of the robot
     waypoints: tuple[Point, ...]  # to be reached in this order, the goal last [m]
@@ -108,8 +109,8 @@ def generate_arena(
     ):
         if not 0 <= value <= most:
             raise ValueError(f"{name}={value}: give 0 to {most:g}")
-    draw_walls, last = KINDS[kind]
-    draw = Draw((SPLITS[split], density, pedestrians, index, *last))
+    draw_walls, ending = KINDS[kind]
+    draw = Draw((SPLITS[split], density, pedestrians, index, *ending))
     while True:
         walls = draw_walls(draw)
         if walls.narrow and (density or pedestrians):
@@ -147,7 +148,7 @@ def draw_obstacles(draw: Draw, count: int, walls: Walls = OPEN) -> tuple[Obstacl
         elif share < 0.9:
             kind, half = "box", (round(draw.uniform(0.2, 0.5), 4), round(draw.uniform(0.2, 0.5), 4))
         else:
-            kind, half, height = "vehicle", (0.6, 0.35), 0.6
+            kind, half, height = "vehicle", VEHICLE_HALF, VEHICLE_HEIGHT
         reach = half[0] if kind in ("cylinder", "person") else math.hypot(*half)
         limit = SIDE / 2 - 0.5
         for _ in range(100):

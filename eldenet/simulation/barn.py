@@ -21,7 +21,7 @@ START, GOAL = (-2.0, 3.0), (-2.0, 13.0)  # in a world's frame [m]
 SHIFT = (2.25, -6.5)  # of a world's frame into an arena, whose middle is its origin [m]
 HEIGHT = 1.0  # of the cylinders [m]
 FASTEST = 2.0  # speed of the optimal time [m/s]
-LEAST, MOST = 2.0, 8.0  # optimal times between which a drive's time counts
+LEAST, MOST = 2.0, 8.0  # a drive's time counts as no less and no more than this many optimal times
 _ARRAYS = ("centers", "radius", "world_start", "path", "path_start")
 
 
@@ -65,6 +65,7 @@ def read_barn(path: str | Path) -> list[BarnWorld]:
         )
         start, goal = (_shifted(at) for at in (START, GOAL))
         arena = Arena("test", len(obstacles), index, obstacles, (*start, math.pi / 2), (goal,), kind="barn")
+        # the centers of grid cells of 0.15 m in the world's frame
         way = [START, *((0.15 * c - 4.575, 0.15 * r + 5.075) for c, r in cells[begin:stop].tolist()), GOAL]
         worlds.append(BarnWorld(arena, sum(math.dist(*step) for step in pairwise(way))))
     return worlds

@@ -67,7 +67,7 @@ def front(values: np.ndarray) -> np.ndarray:
 def arc(
     x: float, y: float, yaw: float, speed: float, turn: float, seconds: float
 ) -> tuple[float, float, float]:
-    """Return the exact pose after driving at constant speed and turn rate."""
+    """Return the exact pose after ``seconds`` at constant ``speed`` [m/s] and ``turn`` rate [rad/s]."""
     half = turn * seconds / 2
     chord = speed * seconds * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
     return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn * seconds

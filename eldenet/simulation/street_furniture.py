@@ -1,7 +1,7 @@
 """What stands along a street: sidewalks, trees, lamp posts, signs, hedges, fences, house fronts.
 
 World coordinates as in :mod:`eldenet.simulation.streets`: x ahead, y to the left; a street's ``side`` is 1
-(left) or -1. Everything goes into one body, for it has no box of its own.
+(left) or -1. Everything goes into one body, for only objects with a label need bodies of their own.
 """
 
 import numpy as np
@@ -12,6 +12,7 @@ from eldenet.simulation.rendering.textures import variants
 
 _SIGNS: tuple[Color, ...] = ((0.6, 0.05, 0.05), (0.05, 0.15, 0.5), (0.8, 0.8, 0.8), (0.75, 0.6, 0.05))
 END = 90.0  # [m] of the street
+PARKING = 2.2  # width of the parking lane on each side of the road [m]
 
 
 class StreetFurniture:
@@ -39,8 +40,8 @@ class StreetFurniture:
         ]
 
     def side(self, side: int, half: float, sidewalk: float) -> None:
-        """Add one side of a street whose road and parking lane end at ``half`` + 2.2 m."""
-        d, near = self.d, half + 2.2
+        """Add one side of a street, beyond half of the road and the parking lane [m]."""
+        d, near = self.d, half + PARKING
         self.b.box((END / 2 - 5, side * (near + sidewalk / 2), 0), (END + 10, sidewalk, 0.12), self.slabs)
         self.b.box((END / 2 - 5, side * (near - 0.07), 0), (END + 10, 0.15, 0.13), self.curb)
         if d.chance(0.4):  # a lawn behind the sidewalk

@@ -14,7 +14,7 @@ from eldenet.simulation.furnished_rooms.rooms import SPLITS, Room
 from eldenet.simulation.rendering.materials import Materials, jitter
 from eldenet.simulation.rendering.mjcf import Body, Draw, world_text
 from eldenet.simulation.rendering.textures import variants
-from eldenet.simulation.street_furniture import StreetFurniture
+from eldenet.simulation.street_furniture import PARKING, StreetFurniture
 from eldenet.system.checks import one_of
 
 KINDS = ("street", "hall", "crossing")
@@ -23,7 +23,7 @@ FAR = {"street": 120.0, "hall": 40.0, "crossing": 120.0}  # [m]
 STREAM = 7
 
 Range = tuple[float, float]
-# length, width, height [m]: mean and standard deviation over KITTI's tracking labels where it has the class
+# length, width, height [m]: mean and deviation; of cars, vans and cyclists over KITTI's tracking labels
 _SIZES: dict[str, tuple[Range, Range, Range]] = {
     "car": ((3.90, 0.43), (1.61, 0.11), (1.52, 0.12)),
     "van": ((4.93, 0.45), (1.86, 0.12), (2.16, 0.25)),
@@ -46,9 +46,9 @@ class Scene(NamedTuple):
 
     room: Room
     names: list[str]
-    sky: tuple[float, float, float]
-    camera_height: float
-    tilt: tuple[float, float]
+    sky: tuple[float, float, float]  # linear RGB
+    camera_height: float  # [m]
+    tilt: tuple[float, float]  # pitch upwards and roll of the camera [rad]
 
 
 def generate_scene(split: str, index: int, kind: str = "street", detail: bool = False) -> Scene:
@@ -109,7 +109,7 @@ class _Builder:
             self.shell.box((start, -d.uniform(1.6, 1.8), 0), (3, 0.14, 0.004), mark)
         for side in (-1, 1):
             sidewalk = d.uniform(2, 4)
-            edge = side * (half + 2.2 + sidewalk)
+            edge = side * (half + PARKING + sidewalk)
             x = -5.0
             while x < 110.0:
                 wide, deep, tall = d.uniform(6, 16), d.uniform(4, 8), d.uniform(3, 12)
@@ -175,7 +175,7 @@ class _Builder:
         return room
 
     def _put(self, name: str, x: float, y: float, yaw: float) -> None:
-        """Add an object unless another one is in the way."""
+        """Add an object unless it would overlap another or begin less than 1 m ahead of the camera."""
         d = self.d
         if name == "person":
             length, width, tall = 0.6, 0.6, 1.75

@@ -1,7 +1,7 @@
 """Cars, vans, trucks, cyclists, pillars and cartons of boxes, cylinders and capsules.
 
 A maker fills a :class:`~.rendering.mjcf.Body` whose front faces +y: lengths run along y, widths along x.
-The geoms touch the box ``length`` x ``width`` x ``height`` on all sides.
+The geoms touch the box ``length`` x ``width`` x ``height`` on all sides; a round pillar is as long as wide.
 """
 
 from itertools import pairwise
