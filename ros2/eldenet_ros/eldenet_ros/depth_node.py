@@ -25,8 +25,7 @@ class DepthNode(Node):
 
     def __init__(self) -> None:
         super().__init__("eldenet_depth")
-        self.settings = declared(self, PARAMETERS)
-        chosen = self.settings
+        chosen = self.settings = declared(self, PARAMETERS)
         self.predictor = open_predictor(
             chosen.checkpoint, engine=chosen.engine, device=chosen.device, threads=chosen.threads
         )

@@ -1,12 +1,11 @@
 """Drives to a goal with the packaged policy: depth, odometry and a goal in; velocity out.
 
-Five times a second it publishes a command. It stops the robot at the goal, without a goal, when depth or
-odometry are older than ``stale`` or not finite, and says what is missing. After an error, Ctrl-C or SIGTERM a
-last command stops the robot. A process that hangs can send nothing: let the base stop by itself when commands
-end, let it limit speed and acceleration, and keep a hardware emergency stop within reach.
+Five times a second it publishes a command. It stops the robot at the goal, without a goal, and when depth or
+odometry are more than ``stale`` from the clock or not finite, and says why. After an error, Ctrl-C or SIGTERM
+a last command stops the robot. A process that hangs can send nothing: let the base stop by itself when
+commands end, let it limit speed and acceleration, and keep a hardware emergency stop within reach.
 
-Tested with rclpy, not on a robot. docs/navigation.md lists what the
-robot must be like.
+Tested with rclpy, not on a robot. docs/robot.md says what the robot must be like.
 """
 
 import signal
@@ -33,7 +32,7 @@ PARAMETERS = {
     "lidar": "",
     "lidar_ahead": ROBOT.camera_ahead,
     "lidar_yaw": 0.0,
-    "camera_height": 0.40,
+    "camera_height": ROBOT.camera_height,
     "camera_pitch": 0.0,
     "camera_roll": 0.0,
     "max_speed": 0.3,

@@ -28,7 +28,7 @@ class Command:
 class Pilot:
     """Drives to a goal, and stops without fresh depth and odometry.
 
-    The driver's own watch stops it too, as for a camera that is frozen or tilted otherwise.
+    The driver's own watch stops it too, such as for a camera that is frozen or has been tilted.
 
     Data are fresh while their stamp is less than ``stale`` from the clock, before or after it. So a topic
     that falls silent, a camera that repeats one picture, a slow network and clocks that differ stop the
@@ -41,7 +41,7 @@ class Pilot:
         camera_roll: about that axis, clockwise as it looks [rad].
         max_speed: a faster command is slowed down, with its turn rate [m/s].
         latency: from the odometry until the robot executes the command [s].
-        stale: age from which data stop the robot [s].
+        stale: distance of a stamp from the clock from which data stop the robot [s].
 
     Raises:
         ValueError: an argument is out of range.
@@ -85,9 +85,10 @@ class Pilot:
         stamp: float,
         sigma: np.ndarray | None = None,
     ) -> None:
-        """Take a depth image, a network's sigma of it ``(H, W)`` [m], intrinsics [px] and ``stamp`` [s].
+        """Take a depth image ``(H, W)`` [m], its intrinsics ``(3, 3)`` [px] and its ``stamp`` [s].
 
-        A lidar's scan takes the place of the depth image, and has no intrinsics.
+        ``sigma (H, W)`` [m] is a network's. A lidar's scan takes the place of the depth image, and has no
+        intrinsics.
         """
         self.depth, self.intrinsics, self.sigma = depth, intrinsics, sigma
         self.stamps["depth"] = stamp
@@ -104,7 +105,7 @@ class Pilot:
         self.stamps["odometry"] = stamp
 
     def aim(self, x: float, y: float, frame: str) -> str:
-        """Drive to a point [m] in the odometry's frame. Returns why it is rejected, or ""; then it stops."""
+        """Drive to a point [m] in the odometry's frame; return "", or why it is rejected: then it stops."""
         self.goal = None
         if not (math.isfinite(x) and math.isfinite(y)):
             return "goal rejected: its position is not finite"

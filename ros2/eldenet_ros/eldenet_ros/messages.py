@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-Z_90 = 1.64  # standard deviations that hold 90 % on each side (Gaussian 1.64, Laplacian 1.63)
+Z_90 = 1.64  # half of a box's interval of 90 %, in standard deviations (Gaussian 1.64, Laplacian 1.63)
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
 FLOAT32 = 7  # sensor_msgs/PointField
 
@@ -33,7 +33,7 @@ class Builder:
         self.message, self.sequence = message, sequence
 
     def header(self, stamp: Any, frame_id: str) -> Any:
-        """``std_msgs/Header`` at the time of another message."""
+        """``std_msgs/Header`` with a stamp of ROS's and the name of a frame."""
         return self.message("std_msgs/msg/Header")(stamp=stamp, frame_id=frame_id)
 
     def depth_image(self, header: Any, depth: np.ndarray) -> Any:
@@ -105,11 +105,12 @@ class Builder:
     def laser_scan(
         self, header: Any, ranges: np.ndarray, half_angle: float, near: float, far: float, period: float
     ) -> Any:
-        """``sensor_msgs/LaserScan``: ranges [m] from right to left; inf from ``far`` on.
+        """``sensor_msgs/LaserScan``.
 
         Args:
             header: whose frame has x forward and z up.
-            ranges: ``(N,)`` [m], each over an equal share of the view.
+            ranges: ``(N,)`` [m] from right to left, each over an equal share of the view; inf is sent from
+                ``far`` on.
             half_angle: of the view, to each side [rad].
             near: least range [m].
             far: greatest range [m].

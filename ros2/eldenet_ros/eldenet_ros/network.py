@@ -11,8 +11,8 @@ def open_predictor(
 
     Args:
         checkpoint: a name of :func:`eldenet.list_weights`, a folder, or an ``.onnx`` or ``.xml`` file.
-        engine: of :func:`eldenet.deploy.runtimes.load`.
-        device: of it.
+        engine: as in :func:`eldenet.deploy.runtimes.load`.
+        device: as there.
         threads: on a CPU; 0: all cores.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What the nodes share of ROS: messages of its classes, the queue's rule, parameters, and the end."""
+"""What the nodes share of ROS: its message classes, the queue's rule, parameters, and how a node ends."""
 
 import array
 import functools
@@ -44,8 +44,8 @@ def declared(node: Node, defaults: Mapping[str, Any]) -> SimpleNamespace:
     )
 
 
-def reported(callback: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
-    """Log a wrong message instead of ending the node; what depends on it sees no new data."""
+def reported(callback: Callable[..., None]) -> Callable[..., None]:
+    """Log the ValueError that a wrong message raises, instead of ending the node."""
 
     @functools.wraps(callback)
     def call(node: Node, *messages: Any) -> None:

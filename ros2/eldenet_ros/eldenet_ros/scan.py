@@ -27,8 +27,8 @@ def scan_depth(
     The scan covers the same angle to both sides: that of the side where the camera sees less.
 
     Args:
-        depth: ``(H, W)`` [m] of a level camera; what unknown pixels mean says
-            :func:`eldenet.navigation.ranges.depth_to_ranges`.
+        depth: ``(H, W)`` [m] of a level camera; :func:`eldenet.navigation.ranges.depth_to_ranges` says what
+            unknown pixels mean.
         intrinsics: ``(3, 3)`` of it [px].
         camera_height: of its optical center above the floor [m].
         heights: low and high end of what the robot can touch, above the floor [m].
@@ -63,7 +63,7 @@ def read_scan(scan: Any, *, ahead: float, yaw: float) -> Scan:
         yaw: of its frame, counter-clockwise from straight ahead [rad].
 
     Raises:
-        ValueError: the limits of its ranges are none.
+        ValueError: ``range_min`` is negative or not below ``range_max``.
     """
     if not 0 <= scan.range_min < scan.range_max:
         raise ValueError(

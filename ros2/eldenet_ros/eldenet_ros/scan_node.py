@@ -11,7 +11,7 @@ from eldenet_ros.ros import BUILDER, LATEST, declared, message, reported, run
 from eldenet_ros.scan import scan_depth
 
 PARAMETERS = {
-    "camera_height": 0.40,
+    "camera_height": ROBOT.camera_height,
     "lowest": LOWEST,
     "highest": HIGHEST,
     "range_min": ROBOT.near,
