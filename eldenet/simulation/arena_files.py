@@ -96,6 +96,8 @@ def _obstacle(name: str, content: Any, side: float) -> Obstacle:
     if kind == "vehicle":
         return Obstacle("vehicle", x, y, yaw, VEHICLE_HALF, VEHICLE_HEIGHT)
     corners = [_place(*named, side) for named in _list_of(f"{name}.path", entries["path"], MOST_WAYPOINTS)]
+    if {*corners} == {(x, y)}:
+        raise ValueError(f"{name}.path={entries['path']} stays at its start: give another point, or no path")
     speed = _number(f"{name}.speed", entries["speed"], LIMITS["speed"])
     path = ((x, y), *corners) if corners else ()  # from where the person stands, and back
     half = (PERSON_RADIUS, PERSON_RADIUS)

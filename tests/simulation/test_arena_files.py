@@ -51,6 +51,8 @@ def test_the_example_of_the_page_is_an_arena(tmp_path):
     ({"obstacles": [{"kind": "tree", "at": [0, 0]}]}, "kind='tree': give one of cylinder, box"),
     ({"obstacles": [{"kind": "box", "at": [0, 0]}]}, r"obstacles\[0\] has no size"),
     ({"obstacles": [{"kind": "cylinder", "at": [0, 0], "radius": -1}]}, "radius=-1: give a number"),
+    ({"obstacles": [{"kind": "person", "at": [5, 0], "path": [[5, 0]]}]}, "stays at its start: give another"),
+    ({"obstacles": [WALL | {"yaw": []}]}, r"yaw=\[\]: give a number"),
     ({"waypoint": [[1, 1]]}, "key='waypoint': give one of side, start, waypoints, obstacles"),
     ({"side": 10, "start": [0, -3, 0], "waypoints": [[0, 3]], "obstacles": [WALL]},
      r"no way from start to waypoints\[0\]"),
