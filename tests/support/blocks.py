@@ -9,7 +9,7 @@ CAMERA = PinholeCamera(pinhole(400.0, 400.0, 320.0, 100.0))
 
 
 def block(center, size=(3.9, 1.6, 1.5), yaw=0.4, camera=CAMERA, shape=(240, 640), height=1.6):
-    """Depth and 2D box of one block on flat ground, by the slab method."""
+    """Depth ``(H, W)`` [m] and 2D box ``(1, 4)`` of one block on flat ground, by the slab method."""
     rows, columns = np.indices(shape)
     rays = camera.back_project(columns, rows, np.ones(shape)) - camera.translation
     with np.errstate(divide="ignore"):

@@ -72,7 +72,7 @@ class CommandServer:
             environment: what it has beside the server's.
             timeout: [s].
             interrupt_at: pattern of files below ``cwd``; ``number`` is sent once one of them is written.
-            number: for the command and the processes that it started, as a terminal sends Ctrl-C.
+            number: of the signal; it goes to the command and all its processes, as a terminal's Ctrl-C does.
             delay: from the file to the signal [s].
         """
         pattern = None if interrupt_at is None else str(cwd / interrupt_at)

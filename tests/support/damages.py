@@ -110,5 +110,5 @@ def exr(path: Path, meters: np.ndarray) -> None:
 
 
 def without(damages: Sequence[Damage], *others: Damage) -> list[Damage]:
-    """Those of the damages that are none for this file."""
+    """The damages without ``others``, which do this file no harm."""
     return [damage for damage in damages if damage not in others]

@@ -29,13 +29,13 @@ def small_net(seed: int = 0, **options: Any) -> DepthNet:
 
 
 def light_net(**options: Any) -> DepthNet:
-    """One of few operations: a file of any size takes half as long as that of :func:`small_net`."""
+    """A network of few operations: a file of any size is written in half of :func:`small_net`'s time."""
     backbone, decoder = EfficientNetLite(blocks=[1, 1]), partial(FastUpConvDecoder, modules=2)
     return small_net(**{"backbone": backbone, "decoder": decoder} | options)
 
 
 def lens_net(height: int, width: int, rays: type[RayFeatures] | None = RayFeatures) -> DepthNet:
-    """One of few operations that has sigma and a canonical camera; what it learnt of its rays is random."""
+    """A network of few operations with sigma and a canonical camera; its weights for rays are random."""
     parts: dict[str, Any] = {"backbone": EfficientNetLite(blocks=[1] * 4), "head": UncertainHead(LogHead())}
     net = light_net(rays=rays, canonical_focal=0.8, canonical_width=width, **parts)
     net.info = {"input_size": [height, width]}
@@ -60,7 +60,7 @@ def canonical_net(height: int, width: int) -> DepthNet:
 
 
 def canonical_predictor(height: int, width: int) -> DepthPredictor:
-    """It predicts single frames by :func:`canonical_net`."""
+    """A predictor of single frames by :func:`canonical_net`."""
     return DepthPredictor(canonical_net(height, width), steady=False)
 
 

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 
 def paddle_weights(path: Path, module: nn.Module) -> dict[str, Tensor]:
-    """By order: the graph runs the convolutions in the order in which ``module`` defines them."""
+    """Read weights for ``module`` by order: the graph runs its convolutions as it defines them."""
     import onnx
 
     graph = onnx.load(str(path)).graph

@@ -12,7 +12,7 @@ ROUNDING, HALF, INT8 = 1e-5, 0.02, 0.05  # relative to torch's fp32: fp32 larges
 
 
 def trained() -> DepthNet:
-    """A trained one: an untrained map is far steeper than what rounding may be judged by."""
+    """A trained network: untrained depth is so steep that rounding changes it much."""
     model = eldenet.load("eldenet_rooms").eval()
     model.info = {"input_size": list(SIZE), "model_name": "eldenet_s", "data": "rooms"}
     return model
@@ -26,6 +26,6 @@ def smooth_pictures() -> np.ndarray:
 
 
 def meters(model: DepthNet, images: np.ndarray) -> np.ndarray:
-    """By torch, in full precision."""
+    """Depth ``(B, 1, H, W)`` [m] by torch, in full precision."""
     with torch.inference_mode():
         return model(torch.from_numpy(images)).numpy()

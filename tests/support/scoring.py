@@ -24,6 +24,7 @@ def from_yaml(name: str) -> EvalProtocol:
 
 
 def batch(seed: int, images: int = 3, size: tuple[int, int] = (14, 18), known: float = 0.7):
+    """Prediction, depth [m] and mask ``(B, 1, H, W)``; ``known`` is the share of the mask that is True."""
     generator = torch.Generator().manual_seed(seed)
     shape = (images, 1, *size)
     depth = 0.2 + 11 * torch.rand(shape, generator=generator)
