@@ -82,7 +82,8 @@ class Detections2D(ArrayRows):
             raise ValueError(f"labels are {self.label.dtype}: give whole numbers, their places in names")
         if count and not 0 <= self.label.min() <= self.label.max() < len(self.names):
             raise ValueError(
-                f"labels up to {self.label.max()}, but {len(self.names)} class names: name every class"
+                f"labels {self.label.min()} to {self.label.max()}, but {len(self.names)} class names: give "
+                "labels from 0, and name every class"
             )
         if not (np.isfinite(self.xyxy).all() and np.isfinite(self.score).all()):
             raise ValueError("boxes or scores are not finite: remove such detections")

@@ -150,6 +150,7 @@ def test_a_box_around_pixels_reaches_from_border_to_border():
     [
         (np.zeros((2, 4)), np.zeros(1, int), "give"),
         (np.zeros((1, 4)), np.array([3]), "class names"),
+        (np.zeros((1, 4)), np.array([-1]), "labels -1 to -1.*from 0"),
         (np.full((1, 4), np.nan), np.zeros(1, int), "finite"),
         (np.array([[300.0, 200, 250, 100]]), np.zeros(1, int), "left <= right"),
     ],

@@ -207,9 +207,8 @@ class BoxTracker:
             return replace(Boxes3D.empty(boxes.names), track_id=np.zeros(0, int), velocity=np.zeros((0, 3)))
         mean = np.stack([track.mean for track in shown])
         names = tuple(dict.fromkeys([*boxes.names, *(track.name for track in shown)]))  # of unseen tracks too
-        quality = {
-            name: np.array([track.quality.get(name, np.nan) for track in shown]) for name in boxes.quality
-        }
+        known = dict.fromkeys(name for track in shown for name in track.quality)
+        quality = {name: np.array([track.quality.get(name, np.nan) for track in shown]) for name in known}
         quality["heading"] = np.array([float(track.heading_known) for track in shown])
         return Boxes3D(
             center=mean[:, :3],

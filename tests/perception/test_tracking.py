@@ -94,6 +94,12 @@ def test_a_track_keeps_its_class_when_frames_number_theirs_differently():
             assert dict(zip(out.track_id.tolist(), out.classes, strict=True)) == {1: "person", 2: "car"}
 
 
+def test_an_unseen_track_keeps_the_quality_of_its_last_detection():
+    tracker = BoxTracker(min_hits=1, report_unseen=True)
+    tracker(replace(boxes([0.0, 0.8, 10.0]), quality={"doubtful": np.ones(1)}), 0.1)
+    assert tracker(Boxes3D.empty(("car",)), 0.1).doubtful.tolist() == [True]
+
+
 def test_2d_boxes_keep_identities_apart_where_the_depth_jumps():
     """Two cars side by side in the image, each frame with depths that are off by up to a fourth."""
     rng = np.random.default_rng(2)
