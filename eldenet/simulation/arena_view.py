@@ -22,9 +22,11 @@ from eldenet.simulation.rendering.camera_noise import develop, develop_photo
 from eldenet.simulation.rendering.mjcf import Draw
 from eldenet.simulation.rendering.shading import CompiledRoom, Room
 from eldenet.simulation.robot import ROBOT
+from eldenet.system.checks import one_of
 
-#: First arena of every split of frames within navigation's training stream; far apart, so none is shared.
-FIRST_ARENA = {"train": 0, "val": 1_000_000, "test": 2_000_000}
+ARENAS = 1_000_000  # of a split of frames
+#: First arena of every split of frames within navigation's training stream.
+FIRST_ARENA = {"train": 0, "val": ARENAS, "test": 2 * ARENAS}
 FRAME_STREAM = 104  # beside arenas.SPLITS and tasks.TASK_STREAM
 _LIGHT = (0.05, 3.0)  # dim to glaring, as a share of a normal day's
 _MAX_OBSTACLES, _MAX_PEDESTRIANS = 80, 10
@@ -149,7 +151,14 @@ def simulated_detections(photo: Photo, arena: Arena) -> Detections2D:
 def arena_photos(
     split: str, index: int, size: tuple[int, int], views: int, detail: bool = False
 ) -> Iterator[tuple[Arena, tuple[float, float, float], Photo]]:
-    """Draw arena ``index`` of a split and yield it with the pose and photo of each frame."""
+    """Draw arena ``index`` of a split and yield it with the pose and photo of each frame.
+
+    Raises:
+        ValueError: unknown split or index out of range.
+    """
+    one_of("split", split, FIRST_ARENA)
+    if not 0 <= index < ARENAS:
+        raise ValueError(f"index={index}: give 0 to {ARENAS - 1}, the arenas of a split")
     cv2.setNumThreads(0)
     number = FIRST_ARENA[split] + index
     draw = Draw((FRAME_STREAM, number))

@@ -46,6 +46,16 @@ def test_frames_are_of_the_training_stream_alone_and_of_no_arena_twice(monkeypat
     assert len({index for _, index in asked}) == 9
 
 
+@pytest.mark.parametrize(("split", "index", "message"), [
+    ("train", 1_000_000, "index=1000000: give 0 to 999999"),  # validation's first one
+    ("val", -1, "index=-1: give 0"),
+    ("valid", 0, "split='valid': give one of train, val, test"),
+])  # fmt: skip
+def test_arenas_of_no_split_are_refused(split, index, message):
+    with pytest.raises(ValueError, match=message):
+        render_arena(split, index, (16, 16), views=1)
+
+
 def test_a_frame_is_the_same_twice_and_seen_by_the_robot_s_camera():
     first, second = render_arena("val", 3, SIZE, views=2), render_arena("val", 3, SIZE, views=2)
     for a, b in zip(first, second, strict=True):
