@@ -130,7 +130,10 @@ def measure_floors(
 
 
 def frames_of(source: Source, most: int) -> tuple[Iterator[tuple[str, np.ndarray]], int]:
-    """Yield name and picture ``(H, W, 3)`` uint8 RGB of ``most`` evenly chosen frames; and their number."""
+    """Return name and picture ``(H, W, 3)`` uint8 RGB of ``most`` evenly chosen frames, and their number.
+
+    Of a video that does not tell its length, they are the first ones.
+    """
     if not source.is_video:
         paths = [Path(path) for path in source.names]
         chosen = [paths[i] for i in evenly_spaced(len(paths), most)]

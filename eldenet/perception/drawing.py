@@ -15,7 +15,9 @@ _COLOR_OF = {
     "pedestrian": (80, 200, 255), "cyclist": (120, 230, 110), "bicycle": (120, 230, 110),
     "bus": (255, 110, 190), "box": (170, 220, 80), "pillar": (60, 220, 200), "motorcycle": (90, 150, 255),
 }  # fmt: skip
-_PATCH, _ROWS = (20, 20, 20), 4
+_PATCH = (20, 20, 20)  # behind a label
+_ROWS = 4  # lines that a label may move up
+_MARGIN = 6  # of a bird's-eye view, above and below [px]
 _GROUND, _GRID, _FIELD_OF_VIEW, _INK = (250, 250, 250), (222, 222, 222), (238, 243, 250), (90, 90, 90)
 
 
@@ -104,34 +106,36 @@ def draw_bev(
         boxes: in the level frame; doubtful ones are dashed, tracked ones get an arrow to where they are in a
             second.
         camera: its field of view is shaded.
-        width: of the camera's image [px].
+        width: of the camera's image [px]; for the field of view.
         size: (height, width) of the view [px].
         reach: depth at the upper edge [m]; None: as far as the boxes reach, 10 to 120 m.
         truth: other boxes, drawn in gray.
     """
     height, wide = size
     reach = bev_reach(boxes, size) if reach is None else reach
-    scale = (height - 12) / reach
+    scale = (height - 2 * _MARGIN) / reach  # [px/m]
     panel = np.full((height, wide, 3), _GROUND, np.uint8)
 
     def place(points: np.ndarray) -> np.ndarray:
         """Pixels ``(..., 2)`` of ground points ``(..., 2)`` x, z [m]."""
-        return np.stack([wide / 2 + points[..., 0] * scale, height - 6 - points[..., 1] * scale], axis=-1)
+        x, z = points[..., 0], points[..., 1]
+        return np.stack([wide / 2 + x * scale, height - _MARGIN - z * scale], axis=-1)
 
-    edges = camera.homography @ np.array([[0, width - 1], [0, 0], [1, 1.0]])
-    rays = (edges[[0, 2]] / edges[2]).T * reach * 1.5
-    cv2.fillPoly(panel, [_fixed(place(np.concatenate([[[0.0, 0.0]], rays])))], _FIELD_OF_VIEW, cv2.LINE_AA, 4)
+    sides = camera.homography @ np.array([[0, width - 1], [0, 0], [1, 1.0]])
+    ends = (sides[[0, 2]] / sides[2]).T * reach * 1.5
+    view = place(np.concatenate([[[0.0, 0.0]], ends]))
+    cv2.fillPoly(panel, [_fixed(view)], _FIELD_OF_VIEW, cv2.LINE_AA, 4)
     step = next((value for value in (1, 2, 5, 10, 20) if reach / value <= 8), 50)
     for z in np.arange(0, reach, step):
-        row = round(height - 6 - z * scale)
+        row = round(height - _MARGIN - z * scale)
         cv2.line(panel, (0, row), (wide, row), _GRID, 1)
     side = wide / 2 / scale
     for x in np.arange(-np.floor(side / step) * step, side, step):
         column = round(wide / 2 + x * scale)
         cv2.line(panel, (column, 0), (column, height), _GRID, 1)
     for z in np.arange(step, reach - 12 / scale, step):  # a number below the upper edge
-        place_of_text = (3, round(height - 6 - z * scale) - 2)
-        cv2.putText(panel, f"{z:g} m", place_of_text, _FONT, 0.35, _INK, 1, cv2.LINE_AA)
+        corner = (3, round(height - _MARGIN - z * scale) - 2)
+        cv2.putText(panel, f"{z:g} m", corner, _FONT, 0.35, _INK, 1, cv2.LINE_AA)
     if truth is not None:
         for corners in footprints(truth.bev):
             cv2.polylines(panel, [_fixed(place(corners))], True, (150, 150, 150), 2, cv2.LINE_AA, 4)
