@@ -1,8 +1,7 @@
 """Tables, seats, beds and storage of boxes, cylinders, capsules and ellipsoids.
 
-Every maker fills a :class:`~.rendering.mjcf.Body` within its footprint ``width`` x ``depth`` [m],
-centered on the body's origin with its back at ``y = -depth / 2``, and returns the surfaces that clutter may
-stand on.
+Every maker fills a :class:`~.rendering.mjcf.Body` on a footprint of about ``width`` x ``depth`` [m], centered
+on the body's origin with its back at ``y = -depth / 2``, and returns the surfaces that clutter may stand on.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 """Kitchen and bathroom fixtures, lamps, plants, people and clutter.
 
-The makers work like those of :mod:`eldenet.simulation.furnished_rooms.furniture`.
+What takes a width and a depth is a maker like those of :mod:`eldenet.simulation.furnished_rooms.furniture`.
 """
 
 from eldenet.simulation.furnished_rooms.furniture import Surface
@@ -256,7 +256,7 @@ def small_object(d: Draw, m: Materials, b: Body, x: float, y: float, z: float) -
             b.cylinder(
                 (x + 0.075 * k, y, z), d.uniform(0.02, 0.036), tall, d.pick((*m.colors, m.white, m.dark))
             )
-    else:
+    else:  # 8: a table lamp
         b.cylinder((x, y, z), 0.06, 0.02, m.dark)
         b.cylinder((x, y, z + 0.02), 0.015, 0.2, m.metal)
         b.cylinder((x, y, z + 0.2), d.uniform(0.08, 0.15), 0.18, m.shade)
