@@ -14,7 +14,7 @@ from eldenet.benchmark import DEFAULT_REFERENCE, BenchmarkSettings, benchmark, l
 from eldenet.compose import compose
 from eldenet.deploy.benchmarking import measure
 from eldenet.deploy.benchmarking.measure import COLUMNS, Case
-from eldenet.deploy.benchmarking.rows import read_rows
+from eldenet.deploy.benchmarking.rows import append_rows, read_rows
 from eldenet.deploy.benchmarking.tables import draw, notes_of, read_accuracies
 from eldenet.deploy.fold import fold
 from eldenet.evaluation.cost import count_macs, count_params
@@ -302,6 +302,12 @@ def test_wrong_settings_are_refused(tmp_path: Path, overrides: list[str], messag
 def test_packaged_weights_keep_their_names() -> None:
     s = compose(BenchmarkSettings, ["models=[eldenet_rooms,eldenet_indoor]"])
     assert list(load_models(s).models) == ["eldenet_rooms", "eldenet_indoor"]
+
+
+def test_rows_are_added_after_a_line_that_is_no_text(tmp_path: Path) -> None:
+    (tmp_path / "rows.jsonl").write_bytes(b'{"model": "\xff')
+    append_rows(tmp_path, [{"model": "eldenet"}])
+    assert (tmp_path / "rows.jsonl").read_bytes().endswith(b'\xff\n{"model": "eldenet"}\n')
 
 
 def test_timed_calls_take_turns() -> None:

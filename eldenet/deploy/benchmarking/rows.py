@@ -51,7 +51,7 @@ def append_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Append rows to the file; a line that was cut short by a kill remains a separate line."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / ROWS_FILE
-    cut_short = path.is_file() and not path.read_text().endswith("\n")
+    cut_short = path.is_file() and not path.read_bytes().endswith(b"\n")
     with path.open("a") as file:
         file.write("\n" * cut_short)
         file.writelines(json.dumps(row) + "\n" for row in rows)
