@@ -217,6 +217,17 @@ def test_wrong_images_are_refused(files, images) -> None:
             network(images * 255)
 
 
+@pytest.mark.parametrize("runtime", ["auto", "onnxruntime", "openvino"])
+def test_a_file_that_takes_no_images_is_refused(tmp_path: Path, runtime: str) -> None:
+    onnx = pytest.importorskip("onnx")
+    ports = [onnx.helper.make_tensor_value_info(name, 1, [3, 8, 8]) for name in "xy"]  # 1: float
+    graph = onnx.helper.make_graph([onnx.helper.make_node("Abs", ["x"], ["y"])], "flat", ports[:1], ports[1:])
+    opset = onnx.helper.make_opsetid("", 13)
+    onnx.save(onnx.helper.make_model(graph, opset_imports=[opset], ir_version=8), tmp_path / "flat.onnx")
+    with pytest.raises(ValueError, match=r"flat.onnx takes input of shape \(3, 8, 8\): give a file"):
+        runtimes.load(tmp_path / "flat.onnx", runtime, threads=1)
+
+
 def test_files_describe_themselves(files) -> None:
     for name in ("onnx", "xml"):
         facts = read_metadata(files[name])

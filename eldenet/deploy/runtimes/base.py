@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -79,7 +80,7 @@ class Runtime:
         self.precision, self.threads, self.device, self.sees_rays = precision, threads, device, sees_rays
         self.metadata = dict(metadata)
         self.shape = tuple(side if isinstance(side, int) else None for side in shape)
-        self.fixed_batch = self.shape[0] if self.shape else None
+        self.fixed_batch = self.shape[0]
         with reading(source, "exported network", EXPORT_AGAIN):
             self.camera_size, self.whole_frame_size, self.trained_size, self.fixed_size = map(
                 self._size, ("camera_size", "whole_frame_size", "trained_size", "input_size")
@@ -245,8 +246,19 @@ def check_known_lens(fov: float, focal: float, width: int) -> None:
         )
 
 
-def check_inputs(path: object, others: Sequence[str]) -> None:
-    """Raise ValueError if a file takes more than images and focal lengths; ``others``: after the first."""
+def check_inputs(path: str | Path, shape: Sequence[Any], others: Sequence[str]) -> None:
+    """Raise ValueError unless a file takes images or frames and at most focal lengths beside them.
+
+    Args:
+        shape: of its first input; a side of any length is no int.
+        others: names of its other inputs.
+    """
+    if len(shape) != 4:
+        sides = ", ".join(str(side) if isinstance(side, int) else "any" for side in shape)
+        raise ValueError(
+            f"{path} takes input of shape ({sides}): give a file that takes images (B, 3, H, W) or frames "
+            "(B, H, W, 3)"
+        )
     if list(others) not in ([], [FOCAL]):
         raise ValueError(
             f"{path} takes {', '.join(others)} beside its images: give a file that takes images, and at most "

@@ -40,7 +40,7 @@ class OnnxRuntime(Runtime):
             else "bf16 runs under OpenVINO (runtime=openvino) and torch",
         )
         port, *others = self.session.get_inputs()
-        check_inputs(path, [other.name for other in others])
+        check_inputs(path, port.shape, [other.name for other in others])
         self.input = port.name
         device = "cpu" if provider == CPU else device
         super().__init__(own, threads, device, metadata, path, port.shape, sees_rays=bool(others))

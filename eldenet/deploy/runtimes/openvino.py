@@ -67,7 +67,7 @@ class OpenvinoRuntime(Runtime):
             named = [port.get_names() for port in self.compiled.inputs[1:]]
             others = [FOCAL if FOCAL in names else min(names) for names in named]
         shape = [side.get_length() if side.is_static else None for side in sides]
-        check_inputs(path, others)
+        check_inputs(path, shape, others)
         super().__init__(precision, threads, device.lower(), metadata, path, shape, sees_rays=bool(others))
         self.request = self.compiled.create_infer_request()
         self._one_at_a_time = threading.Lock()
