@@ -134,11 +134,11 @@ def benchmark(s: BenchmarkSettings) -> list[dict[str, Any]]:
         log.say(f"reference {s.reference} is not among the models: no ratio_latency (give reference=)")
     cases = list_cases(s, list(found.models), found.sizes)
     accuracies = read_accuracies(listed(s.accuracies), s.accuracy, found.models)
-    prints = {name: network_digest(model) for name, model in found.models.items()}
+    fingerprints = {name: network_digest(model) for name, model in found.models.items()}
     machine_now, command = machine()
 
     def is_alike(row: Mapping[str, Any]) -> bool:
-        return measured_alike(row, s, prints)
+        return measured_alike(row, s, fingerprints)
 
     def counts(row: Mapping[str, Any]) -> bool:
         return is_alike(row) and not other_machine(row, machine_now)
@@ -161,7 +161,7 @@ def benchmark(s: BenchmarkSettings) -> list[dict[str, Any]]:
             log.say(f"{title}: measured before (overwrite=true measures again)")
             continue
         log.say(f"{title}: {len(group)} rows")
-        rows = measured(group, found.models, prints, s)
+        rows = measured(group, found.models, fingerprints, s)
         for row in rows:
             row |= {
                 **machine_now,
@@ -184,13 +184,13 @@ def benchmark(s: BenchmarkSettings) -> list[dict[str, Any]]:
 def measured(
     group: Sequence["Case"],
     models: Mapping[str, "DepthNet"],
-    prints: Mapping[str, str],
+    fingerprints: Mapping[str, str],
     s: BenchmarkSettings,
 ) -> list[dict[str, Any]]:
     """Rows of one group, with what decides whether they count later (:func:`measured_alike`)."""
     from eldenet.deploy.benchmarking.measure import measure_group
 
-    networks = {case: prepare(case, models[case.model], prints[case.model], s) for case in group}
+    networks = {case: prepare(case, models[case.model], fingerprints[case.model], s) for case in group}
     rows = measure_group(
         group,
         networks,
@@ -201,28 +201,31 @@ def measured(
         trusted_modules=listed(s.trusted_modules),
     )
     for case, row in zip(group, rows, strict=True):
-        row |= {"key": list(case.key), "fingerprint": prints[case.model], "calibrated": s.calibrated}
+        row |= {"key": list(case.key), "fingerprint": fingerprints[case.model], "calibrated": s.calibrated}
         row |= {"reference": s.reference, "rounds": s.rounds, "seconds": s.seconds, "memory": s.memory}
-        row["ratio_to"] = ratio_to(s, prints)
+        row["ratio_to"] = ratio_to(s, fingerprints)
     return rows
 
 
-def measured_alike(row: Mapping[str, Any], s: BenchmarkSettings, prints: Mapping[str, str]) -> bool:
-    """Return whether a stored row has the weights, reference, rounds, seconds and columns asked for."""
+def measured_alike(row: Mapping[str, Any], s: BenchmarkSettings, fingerprints: Mapping[str, str]) -> bool:
+    """Return whether a stored row was measured as the settings ask for, of the same weights.
+
+    That is with the same reference, rounds and seconds; int8 with the same pictures; and memory, if wanted.
+    """
     if row.get("precision") == "int8" and row.get("calibrated") != s.calibrated:
         return False
     if s.memory and not row.get("memory"):
         return False
-    to = ratio_to(s, prints)
+    to = ratio_to(s, fingerprints)
     if to is not None and row.get("ratio_to") != to:
         return False
-    asked = (prints.get(row["model"]), s.reference, s.rounds, s.seconds)
+    asked = (fingerprints.get(row["model"]), s.reference, s.rounds, s.seconds)
     return tuple(row.get(name) for name in ("fingerprint", "reference", "rounds", "seconds")) == asked
 
 
-def ratio_to(s: BenchmarkSettings, prints: Mapping[str, str]) -> str | None:
+def ratio_to(s: BenchmarkSettings, fingerprints: Mapping[str, str]) -> str | None:
     """Digest of the network that ``ratio_latency`` refers to; None: no such row is asked for."""
-    return prints.get(s.reference) if "fp32" in listed(s.precisions) else None
+    return fingerprints.get(s.reference) if "fp32" in listed(s.precisions) else None
 
 
 def study_models(s: BenchmarkSettings) -> Networks:
@@ -313,13 +316,14 @@ def prepare(case: "Case", model: "DepthNet", fingerprint: str, s: BenchmarkSetti
     size = (case.height, case.width)
     params, macs, run_macs = count_params(model), count_macs(model, size), count_macs(fold(model), size)
     try:
-        source = _make(case, model, f"{safe_stem(case.model)}-{fingerprint}", s)
+        source = _write_source(case, model, f"{safe_stem(case.model)}-{fingerprint}", s)
     except Exception as error:  # a failed export is the row's result
         return Network(None, params, macs, run_macs, reason_of(error))
     return Network(source, params, macs, run_macs)
 
 
-def _make(case: "Case", model: "DepthNet", name: str, s: BenchmarkSettings) -> Path:
+def _write_source(case: "Case", model: "DepthNet", name: str, s: BenchmarkSettings) -> Path:
+    """Write the folder or file that a case loads, unless it is there; it is called after ``name``."""
     from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
 
     folder, size = s.folder / "exports", (case.height, case.width)
@@ -331,10 +335,9 @@ def _make(case: "Case", model: "DepthNet", name: str, s: BenchmarkSettings) -> P
     if s.overwrite or not is_whole(graph):
         write_onnx(model, graph, size, batch=case.batch, metadata=metadata)
     # other calibration pictures make another int8 file
-    pictures = digest_of(s.calibrated)[:8]
-    quantized = f"-int8-{pictures}" if case.precision == "int8" else ""
+    quantized = f"-int8-{digest_of(s.calibrated)[:8]}" if case.precision == "int8" else ""
     path = folder / f"{stem}{quantized}{'.onnx' if case.runtime == 'onnxruntime' else '.xml'}"
-    if is_whole(path) and not (s.overwrite and path != graph):
+    if path == graph or (is_whole(path) and not s.overwrite):
         return path
     if not quantized:
         return write_openvino(graph, path, metadata)

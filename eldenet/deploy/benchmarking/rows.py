@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from eldenet.model import DepthNet
 
 ROWS_FILE = "rows.jsonl"
+KEY = ("model", "height", "width", "batch", "runtime", "precision", "threads", "device")  # identify a row
 COLUMNS = (
-    *("model", "height", "width", "batch", "runtime", "precision", "threads", "device"),
+    *KEY,
     *("params", "gmacs", "gflops", "latency_ms_p50", "latency_ms_p95", "fps", "throughput_img_s"),
     *("peak_memory_mb", "file_mb", "gflops_per_s", "share_of_peak", "ratio_latency"),
 )
-KEY = COLUMNS[:8]
 TEXTS = ("model", "runtime", "precision", "device")
 FIGURES = tuple(name for name in COLUMNS if name not in TEXTS)
 ROW = (*COLUMNS, "key", "command", "date", "processor", "versions", "failed")
