@@ -148,6 +148,11 @@ def check_seal(path: Path) -> bool:
     return True
 
 
+def files_of(path: Path) -> list[Path]:
+    """An exported file, and that of its weights where they are apart."""
+    return [path, path.with_suffix(".bin")] if path.suffix == ".xml" else [path]
+
+
 def is_whole(path: Path) -> bool:
     """Whether an exported file is there and matches its digest."""
     try:

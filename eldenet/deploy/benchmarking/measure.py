@@ -1,10 +1,13 @@
-"""Latency of many networks under many runtimes, in interleaved rounds, so that ratios can be trusted."""
+"""Latency of many networks under many runtimes, in interleaved rounds, so that ratios can be trusted.
+
+:func:`~eldenet.system.timing.time_interleaved` times the calls, and warms each up at the start of its turn.
+"""
 
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ import torch
 
 from eldenet.deploy import runtimes
 from eldenet.deploy.benchmarking.rows import COLUMNS
+from eldenet.deploy.metadata import files_of
 from eldenet.system.timing import Waiting, median_ms, percentile_ms, time_interleaved
 
 PEAK_SIDE = 1024  # of the square matrices whose product gives the peak
@@ -77,8 +81,10 @@ def measure_group(
 
     Args:
         cases: of one runtime, thread count and device; in a study each model may have its own input.
+        networks: what each case runs.
         reference: model whose fp32 row has ``ratio_latency`` 1.
         rounds: turns of each case.
+        seconds: of each turn.
         memory: measure each case's memory, in a separate process.
         trusted_modules: packages whose classes a model folder's config may name.
 
@@ -93,7 +99,10 @@ def measure_group(
         rows[case] |= {"failed": network.failed, "peak_gflops_per_s": None, "waiting": None}
         if network.source is not None:
             try:
-                ready[case] = call_of(case, network.source, rows[case], trusted_modules)
+                loaded = _load(case, network.source, trusted_modules)
+                if loaded.device != case.device:
+                    rows[case]["device"] = f"{case.device} ({loaded.device})"
+                ready[case] = call_of(loaded, _images(case))
             except Exception as error:  # a failure is the row's result
                 rows[case]["failed"] = reason_of(error)
     if not ready:
@@ -147,14 +156,12 @@ def timed_columns(case: Case, times: Sequence[float], macs: int | None) -> dict[
     }
 
 
-def call_of(case: Case, source: Path, row: dict[str, Any], trusted_modules: Sequence[str] = ()) -> Any:
+def call_of(network: runtimes.Runtime, images: np.ndarray) -> Callable[[], None]:
     """The call to time, after a first run that shows that it works and triggers compilation."""
-    network = _load(case, source, trusted_modules)
-    images = network.prepared(_images(case))
-    row["device"] = case.device if network.device == case.device else f"{case.device} ({network.device})"
+    inputs = network.prepared(images)
 
     def call() -> None:
-        network.run_prepared(images)
+        network.run_prepared(inputs)
         network.synchronize()
 
     call()
@@ -185,8 +192,8 @@ def _peak_precisions(cases: Mapping[Case, Any]) -> list[str]:
     return [name for name in PEAK_DTYPES if any(case.precision == name for case in cases)]
 
 
-def peak_call(case: Case, precision: str) -> Any:
-    """A product of two square matrices on the device and with the threads of ``case``."""
+def peak_call(case: Case, precision: str) -> Callable[[], None]:
+    """The call that gives the peak: a product of square matrices on the case's device, with its threads."""
     target = torch.device("cuda" if case.device in ("cuda", "tensorrt") else "cpu")
     left, right = (torch.rand(PEAK_SIDE, PEAK_SIDE).to(target, PEAK_DTYPES[precision]) for _ in range(2))
 
@@ -203,8 +210,7 @@ def peak_call(case: Case, precision: str) -> Any:
 def _megabytes(source: Path) -> float:
     if source.is_dir():
         return sum(file.stat().st_size for file in source.rglob("*.safetensors")) / 1e6
-    files = [source, source.with_suffix(".bin")] if source.suffix == ".xml" else [source]
-    return sum(file.stat().st_size for file in files) / 1e6
+    return sum(file.stat().st_size for file in files_of(source)) / 1e6
 
 
 # --- memory -------------------------------------------------------------------------------------------------
