@@ -17,10 +17,12 @@ import numpy as np
 import eldenet
 from eldenet.cli.entry_point import entry_point
 from eldenet.compose import REQUIRED, listed
+from eldenet.deploy.metadata import UNTRAINED_SIZE, describe, files_of
 from eldenet.geometry import focal_of_fov, resize_image, size_of_aspect
 from eldenet.system.checks import at_least, check_size, one_of
 from eldenet.system.extras import require
 from eldenet.system.files import safe_stem
+from eldenet.system.onnx_files import NEWEST_OPSET
 from eldenet.weights import find_checkpoint, name_of
 
 if TYPE_CHECKING:
@@ -47,7 +49,7 @@ class ExportSettings:
     # (after training on crops: of a whole frame at that scale), else 224 x 224; in the aspect of camera
     size: Any = None
     batch: int | None = None  # fixed number of images, of one size; null: any
-    opset: int = 18  # ONNX opset: 18, or 11 to 17 for old boards
+    opset: int = NEWEST_OPSET  # ONNX opset: 18, or 11 to 17 for old boards
     # (height, width) [px]: the file takes uint8 RGB frames and returns depth of this size, with resizing
     # inside; null: it takes float images of size
     camera: Any = None
@@ -114,7 +116,6 @@ def export(s: ExportSettings) -> Path:
     require(f"format={s.format}, precision={s.precision}", *needed)
     find_checkpoint(s.checkpoint, "checkpoint")
     from eldenet.deploy.calibration_pictures import read_pictures
-    from eldenet.deploy.metadata import describe
     from eldenet.deploy.onnx_export import quantize_onnx, write_onnx
     from eldenet.deploy.openvino_export import quantize_openvino, write_openvino
     from eldenet.results.run_log import RunLog, untrained_note
@@ -167,8 +168,6 @@ def target_of(s: ExportSettings, model: "DepthNet") -> Target:
     Raises:
         ValueError: the output already exists.
     """
-    from eldenet.deploy.metadata import UNTRAINED_SIZE
-    from eldenet.deploy.onnx_export import NEWEST_OPSET
     from eldenet.model import size_of_frames
 
     height, width = s.size or size_of_frames(model.info) or UNTRAINED_SIZE
@@ -266,11 +265,6 @@ def compare_with_torch(
         f"{target.size[0]} x {target.size[1]}"
     )
     log.table(title, ["runtime", "output", "max [m]", "median [m]", "max, rel.", "median, rel."], rows)
-
-
-def files_of(output: Path) -> list[Path]:
-    """The exported file, and that of its weights where they are apart."""
-    return [output, output.with_suffix(".bin")] if output.suffix == ".xml" else [output]
 
 
 def say_contents(output: Path, log: "RunLog") -> None:

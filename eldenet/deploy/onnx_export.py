@@ -25,17 +25,14 @@ from eldenet.geometry import focal_of_fov, same_aspect, size_of_aspect
 from eldenet.model import DepthNet, EncoderDecoder
 from eldenet.system.errors import first_line
 from eldenet.system.files import write_bytes
-from eldenet.system.onnx_files import read_graph
+from eldenet.system.onnx_files import NEWEST_OPSET, OLDEST_OPSET, read_graph
 
 if TYPE_CHECKING:
     import onnx
 
-NEWEST_OPSET = 18  # the exporter's own; older ones are written by torch's older exporter
-OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 AXES = {"batch": 0, "height": 2, "width": 3}  # of images (B, 3, H, W)
 LEAST = {"batch": 1, "height": 16, "width": 16}
-FACTS = ("canonical_focal", "canonical_width", "camera_size", "input_size")
-LENSES = (0.7, 1.0, 1.4)  # of int8's calibration, in canonical focal lengths
+LENSES = (0.7, 1.0, 1.4)  # of the calibration of int8, in canonical focal lengths
 
 
 def write_onnx(
@@ -62,9 +59,9 @@ def write_onnx(
             lens and answers in meters for it.
 
     Raises:
-        ValueError: the opset, batch or size is out of range, frames would be stretched to ``size``, the
-            network ignores lenses but there is a ``fov``, or the opset cannot express it, or not at any size
-            (as networks that round odd sides down, or take none).
+        ValueError: the opset, batch or size is out of range; frames would be stretched to ``size``; a ``fov``
+            is given for a network that ignores lenses, or with ``any_size``; or the opset cannot express the
+            network, or not at any size (:func:`needs_fixed_size`).
     """
     if not OLDEST_OPSET <= opset <= NEWEST_OPSET:
         raise ValueError(f"opset={opset}: choose {OLDEST_OPSET} to {NEWEST_OPSET}")
@@ -81,8 +78,8 @@ def write_onnx(
     network: nn.Module = fold(model).cpu()
     if any_size and needs_fixed_size(network):
         raise ValueError(only_one_size)
-    asks = model.sees_rays and fov is None
-    outputs, lens = ["depth"], [torch.full((batch or 2,), 0.8 * size[1])] * asks
+    takes_lens = model.sees_rays and fov is None
+    outputs, lens = ["depth"], [torch.full((batch or 2,), 0.8 * size[1])] * takes_lens
     if model.distribution is not None:
         network, outputs = SigmaNet(network), ["depth", "sigma"]  # type: ignore[arg-type]
     name, example = "image", torch.rand(batch or 2, 3, *size)
@@ -100,7 +97,7 @@ def write_onnx(
     try:
         with quiet(), torch.no_grad():
             axes = ["batch"] * (batch is None) + ["height", "width"] * any_size
-            inputs = [name] + [FOCAL] * asks
+            inputs = [name] + [FOCAL] * takes_lens
             graph = _to_onnx(network.eval(), (example, *lens), (inputs, outputs), axes, opset)
     except RuntimeError as error:  # base class of the exporter's errors
         if any_size:
@@ -110,9 +107,9 @@ def write_onnx(
 
 
 def needs_fixed_size(network: nn.Module) -> bool:
-    """Whether a graph at any size would lack the decoder's padding, or the backbone takes no odd sides.
+    """Whether the network has no graph for any size: its backbone rounds odd sides down, or takes none.
 
-    Decoders pad where a backbone rounds a feature's odd sides down for the next one.
+    Where a backbone rounds down, the decoder pads, and a graph pads as at the size that it was made for.
     """
     inner = next((part for part in network.modules() if isinstance(part, EncoderDecoder)), None)
     if inner is None:
@@ -135,7 +132,13 @@ def _to_onnx(
     axes: Sequence[str],
     opset: int,
 ) -> "onnx.ModelProto":
-    """The graph, whose inputs and outputs are named ``ports``; ``axes`` of its images may have any length."""
+    """The graph of a network.
+
+    Args:
+        examples: inputs.
+        ports: names of the inputs, and of the outputs.
+        axes: those of :data:`AXES` that may have any length.
+    """
     import onnx
 
     names: dict[str, Any] = {"input_names": ports[0], "output_names": ports[1], "opset_version": opset}
@@ -146,9 +149,9 @@ def _to_onnx(
             network, examples, dynamo=True, dynamic_shapes=shapes if axes else None, verbose=False, **names
         )
         return program.model_proto
-    content: Any = BytesIO()
     if "height" in axes:
         raise ValueError(f"opset={opset}: files for any size need opset={NEWEST_OPSET}")
+    content: Any = BytesIO()
     lengths = {port: {0: "batch"} for port in ports[0] + ports[1]} if axes else None
     torch.onnx.export(network, examples, content, dynamo=False, dynamic_axes=lengths, **names)
     return onnx.load_from_string(content.getvalue())
@@ -170,12 +173,14 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
     """Turn fp32 ONNX into int8 ONNX with quantize/dequantize pairs (QDQ), scales per channel.
 
     Post-training quantization: calibration pictures give the scales, nothing is trained. Convolutions and
-    matrix products are quantized; the rest stays fp32, as ONNX Runtime has no int8 kernels for it. So does
-    what comes before the second convolution: eight bits of the normalized picture cost the most accuracy
-    (``experiments/bench``).
+    matrix products are quantized; the rest stays fp32, as ONNX Runtime has no int8 kernels for it. Two parts
+    stay fp32 for their accuracy:
 
-    ``inputs`` are calibration batches, as the graph takes them. What comes of the focal length alone, the
-    rays, stays fp32: eight bits of them would move the scale of a picture.
+    - the first convolution: eight bits of the normalized picture cost the most (``experiments/bench``);
+    - the rays, which come of the focal length alone: eight bits would move the scale of a picture.
+
+    Args:
+        inputs: calibration batches, as the graph takes them.
     """
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
     from onnxruntime.quantization.shape_inference import quant_pre_process
@@ -214,16 +219,17 @@ def quantize_onnx(source: str | Path, path: str | Path, inputs: Sequence[np.ndar
 
 
 def calibration_feeds(source: str | Path, inputs: Sequence[np.ndarray]) -> list[dict[str, np.ndarray]]:
-    """Calibration batches by the name of the file's input; with lenses about the canonical one for rays."""
+    """Calibration batches by the name of the file's input; a file that takes lenses gets :data:`LENSES`."""
     ports = [port.name for port in read_graph(source).graph.input]
     feeds = [{ports[0]: value} for value in inputs]
     if FOCAL in ports:
-        facts = {name: json.loads(value) for name, value in read_metadata(source).items() if name in FACTS}
-        usual = facts["canonical_focal"] * facts["canonical_width"]
-        if facts["camera_size"]:
-            usual *= facts["camera_size"][1] / facts["input_size"][1]
+        facts = read_metadata(source)
+        canonical_px = json.loads(facts["canonical_focal"]) * json.loads(facts["canonical_width"])
+        if camera_size := json.loads(facts["camera_size"]):  # a lens is given in pixels of the frames
+            canonical_px *= camera_size[1] / json.loads(facts["input_size"])[1]
         for number, feed in enumerate(feeds):
-            feed[FOCAL] = np.full(len(feed[ports[0]]), usual * LENSES[number % len(LENSES)], np.float32)
+            focal = canonical_px * LENSES[number % len(LENSES)]
+            feed[FOCAL] = np.full(len(feed[ports[0]]), focal, np.float32)
     return feeds
 
 

@@ -1,4 +1,4 @@
-"""ONNX files: the one place that opens them, for every part of eldenet that reads one."""
+"""ONNX files: the one place that opens them, for every part of eldenet that reads one; and their opsets."""
 
 import warnings
 from collections.abc import Sequence
@@ -15,6 +15,8 @@ CPU, CUDA, TENSORRT = "CPUExecutionProvider", "CUDAExecutionProvider", "Tensorrt
 # by default CUDA rounds the factors of fp32 convolutions and products to the ten bits of TF32
 OPTIONS = {CUDA: {"use_tf32": "0"}}
 EXPORT_AGAIN = "fetch it or export it again"
+NEWEST_OPSET = 18  # that eldenet writes, with torch's newer exporter; the older one writes the others
+OLDEST_OPSET = 11  # bilinear resizing by half pixels, as torch does it, begins here
 
 
 def read_graph(path: str | Path) -> "onnx.ModelProto":
