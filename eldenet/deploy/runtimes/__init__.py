@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import eldenet
-from eldenet.deploy.metadata import canonical_camera, check_seal, describe
+from eldenet.deploy.metadata import UNTRAINED_SIZE, canonical_camera, check_seal, describe
 from eldenet.deploy.runtimes.base import PRECISIONS, Runtime
 from eldenet.deploy.stream import DepthStream
 from eldenet.system.checks import one_of
@@ -85,7 +85,8 @@ def load(
 
     model = source if isinstance(source, DepthNet) else eldenet.load(source, trusted_modules=trusted_modules)
     runtime = "torch" if runtime == "auto" else runtime
-    any_size, size = size is None, size or size_of_frames(model.info)
+    any_size = size is None
+    size = size or size_of_frames(model.info)  # a graph for any size is made at this one
     name = str(model.info.get("model_name", "unnamed"))
     metadata = (
         {"model": name, "distribution": json.dumps(model.distribution)} | canonical_camera(model)
@@ -133,7 +134,8 @@ def fastest(
     first = next(iter(able.values()))
     if len(able) == 1:
         return first
-    shape = [side or usual for side, usual in zip(first.shape, (1, 3, 224, 224), strict=True)]
+    usual = (1, 3, *UNTRAINED_SIZE)  # of a file that takes any number or size
+    shape = [side or one for side, one in zip(first.shape, usual, strict=True)]
     image = np.zeros(shape, np.uint8 if first.takes_frames else np.float32)
     times = time_interleaved(
         {name: lambda network=network: network.run(image) for name, network in able.items()},  # type: ignore[misc]

@@ -33,6 +33,10 @@ class Runtime:
     A file exported with ``camera=[h,w]`` takes the camera's frames, ``(B, H, W, 3)`` uint8 RGB, instead.
     Several threads may call one runtime: each gets the depth of its own images.
 
+    Args:
+        source: of the metadata, for errors: the file.
+        shape: of the input, as the file states it; a side of any length is no int.
+
     Attributes:
         runtime: "torch", "torch_channels_last", "torch_compile", "onnxruntime" or "openvino".
         precision: "fp32", "bf16", "fp16" or "int8".
@@ -43,13 +47,13 @@ class Runtime:
         shape: of the input; None for a side of any length.
         fixed_batch: the only number of images that it takes at once; None: any.
         fixed_size: the only ``(height, width)`` that the network can see [px]; None: any, and
-            ``info["input_size"]`` is the size of its training.
-        camera_size: ``(height, width)`` of the frames that it takes [px], or None.
-        takes_frames: whether it takes uint8 frames.
+            ``info["input_size"]`` is the one that it was exported for.
+        camera_size: ``(height, width)`` of the frames that it takes [px]; None: it takes images.
+        takes_frames: whether it takes frames.
         whole_frame_size: ``(height, width)`` [px] of a whole frame at the training's scale; None: it did not
             crop.
-        trained_size: ``(height, width)`` [px] at which the training's scale shows a whole frame; None: not
-            stated.
+        trained_size: ``(height, width)`` [px] of a whole frame at the training's scale, also of a training
+            that did not crop; None: not stated.
         canonical_px: focal length of the canonical camera [px]; None: it ignores focal lengths, and meters
             are those of the training's lens.
         fov: horizontal field of view [degrees] of the one camera that the file was exported for; None: any.
@@ -127,7 +131,7 @@ class Runtime:
         raise NotImplementedError
 
     def prepared(self, images: np.ndarray) -> Any:
-        """Input on this runtime's device and in its layout, for timing."""
+        """Images as :meth:`run_prepared` takes them, on this runtime's device and in its layout."""
         return images
 
     def run_prepared(self, images: Any) -> Any:
@@ -168,7 +172,7 @@ class Runtime:
         return DepthEstimate(depth, sigma[0] if sigma else None, self.distribution)
 
     def _meters(self, images: Any, focal: Any, run: Callable[..., Any]) -> list[np.ndarray]:
-        """What ``run`` answers, a map or several, in meters."""
+        """What ``run`` (:meth:`run` or :meth:`run_maps`) answers, as a list of maps in meters."""
         checked = self._checked(images)
         lens = None
         if focal is not None and self.fov is not None:
@@ -271,8 +275,8 @@ def unknown_focal(images: np.ndarray) -> np.ndarray:
     return np.zeros(len(images), np.float32)
 
 
-def refuse(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) -> None:
-    """Raise ValueError if a runtime does not support a precision."""
+def check_precision(precision: str, allowed: tuple[str, ...], runtime: str, advice: str) -> None:
+    """Raise ValueError unless a precision is among those ``allowed``, which ``runtime`` supports here."""
     one_of("precision", precision, PRECISIONS)
     if precision not in allowed:
         raise ValueError(f"{runtime} does not support {precision} here, only {', '.join(allowed)}: {advice}")

@@ -16,7 +16,7 @@ class RuntimeNetwork(nn.Module):
     """Image ``(B, 3, H, W)`` -> depth ``(B, 1, H, W)`` [m] by a runtime, without parameters and gradient.
 
     Raises:
-        ValueError: the file takes camera frames, images of another size, or fewer at once.
+        ValueError: the file takes camera frames; in a call, images of another size, or fewer at once.
     """
 
     def __init__(self, network: Runtime) -> None:
@@ -53,15 +53,15 @@ class RuntimeNetwork(nn.Module):
         lens = None if focal is None else focal.cpu().numpy()
         if not with_spread:
             return self.network(image, lens)
-        depth, sigma, _ = self.network.predict(image.cpu().numpy(), lens)  # asked only of files with sigma
-        return tuple(torch.from_numpy(each).to(image.device) for each in (depth, sigma / depth))
+        estimate = self.network.predict(image.cpu().numpy(), lens)  # asked only of files with sigma
+        return tuple(torch.from_numpy(each).to(image.device) for each in (estimate.depth, estimate.spread))
 
 
 def measure_runtime_cost(network: Runtime, size: tuple[int, int]) -> CostReport:
     """Cost as by :func:`eldenet.evaluation.cost.measure_cost`, with the counts that the file states.
 
-    A file of a fixed batch is timed at that batch; unless it is 1, the latency of one image is NaN. A file of
-    any size states the multiply-adds of one; at another they are NaN.
+    A file of a fixed batch is timed at that batch; unless it is 1, the latency of one image is NaN. The file
+    states its multiply-adds at one size; at another they are NaN.
     """
     one, batch = network.fixed_batch or 1, network.fixed_batch or 8
     calls = {}

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from eldenet.deploy.metadata import own_metadata
-from eldenet.deploy.runtimes.base import FOCAL, Runtime, check_inputs, refuse, unknown_focal
+from eldenet.deploy.runtimes.base import FOCAL, Runtime, check_inputs, check_precision, unknown_focal
 from eldenet.system.onnx_files import CPU, CUDA, TENSORRT, open_session
 
 PROVIDERS = {"cpu": CPU, "cuda": CUDA, "tensorrt": TENSORRT}
@@ -31,7 +31,7 @@ class OnnxRuntime(Runtime):
         self.session = open_session(path, [provider], threads=threads)
         metadata = own_metadata(self.session.get_modelmeta().custom_metadata_map)
         own = metadata.get("precision", "fp32")
-        refuse(
+        check_precision(
             precision or own,
             (own,),
             f"{Path(path).name} under ONNX Runtime",

@@ -7,7 +7,7 @@ import numpy as np
 
 from eldenet.deploy.metadata import read_metadata
 from eldenet.deploy.openvino_export import openvino_core
-from eldenet.deploy.runtimes.base import FOCAL, Runtime, check_inputs, refuse, unknown_focal
+from eldenet.deploy.runtimes.base import FOCAL, Runtime, check_inputs, check_precision, unknown_focal
 from eldenet.system.errors import reading
 from eldenet.system.onnx_files import EXPORT_AGAIN
 
@@ -48,7 +48,7 @@ class OpenvinoRuntime(Runtime):
         if stored == "fp32":
             allowed += ["bf16"] * ("BF16" in capable)
             allowed += ["fp16"] * ("FP16" in capable and name != "CPU")  # CPUs accept fp16 but compute fp32
-        refuse(
+        check_precision(
             precision,
             tuple(allowed),
             f"{Path(path).name} under OpenVINO",

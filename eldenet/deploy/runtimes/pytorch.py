@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from eldenet.deploy.fold import fold
-from eldenet.deploy.runtimes.base import Runtime, refuse
+from eldenet.deploy.runtimes.base import Runtime, check_precision
 from eldenet.model import DepthNet
 from eldenet.system.resources import check_torch_device, full_fp32
 
@@ -24,8 +24,9 @@ class TorchRuntime(Runtime):
         model: stays unchanged.
         layout: "torch" (contiguous), "torch_channels_last" or "torch_compile" (channels_last, compiled).
         precision: "fp32", "bf16", or on CUDA "fp16".
-        threads: of torch, process-wide.
+        threads: of torch, process-wide, on a CPU.
         device: "cpu" or "cuda".
+        metadata: of the model (:func:`eldenet.deploy.metadata.describe`).
 
     Raises:
         ValueError: torch does not offer this precision or device here.
@@ -43,7 +44,8 @@ class TorchRuntime(Runtime):
     ) -> None:
         check_torch_device(device)
         allowed = ("fp32", "bf16", "fp16") if device == "cuda" else ("fp32", "bf16")
-        refuse(precision, allowed, layout, "for int8 export a file (eldenet export precision=int8)")
+        advice = "for fp16 give device=cuda, for int8 export a file (eldenet export precision=int8)"
+        check_precision(precision, allowed, layout, advice)
         if device == "cuda":
             full_fp32()
         name = torch.cuda.get_device_name() if device == "cuda" else "cpu"
