@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from eldenet.data.bags import Bag
-from eldenet.deploy.video_files import JoinedTime, VideoFile
+from eldenet.deploy.video_files import SLACK, USUAL_RATE, JoinedTime, VideoFile, plausible_rate
 from eldenet.system.escaping import without_password
 
 if TYPE_CHECKING:
     import cv2
 
 RATE_OVER = 30  # frames that the live rate looks back on
-SLACK = 1.0  # [s] by which a recording at an address may end early
 
 TimedFrame = tuple[np.ndarray, float]  # and when it was taken [s]
 
@@ -32,8 +31,8 @@ class StreamFrame(NamedTuple):
         number: position in the source, from 0; dropped frames count.
         frame: ``(H, W, 3)`` uint8 RGB.
         depth: ``(H, W)`` float32 [m].
-        time: when it was taken [s], from any zero: the clock's for live sources, the stated one for files,
-            by the frame rate for iterables.
+        time: when it was taken [s], from any zero: as a file or bag states; of a camera, an address, or an
+            iterable whose frames may be dropped, when it came; of any other iterable, by the frame rate.
     """
 
     number: int
@@ -65,7 +64,7 @@ class DepthStream:
 
     Attributes:
         dropped: number of frames that were not predicted.
-        frames_per_second: as stated by the source; 30 if it states none.
+        frames_per_second: as stated by the source; 30 if it states none, or an implausible number.
         announced: number of frames that the source announces; 0 if it has no end or does not say. Many
             formats estimate the number from the length, so there may be fewer.
         ended_too_soon: why the source ended early ("stopped after 90 frames: ..."); empty while it runs,
@@ -87,7 +86,7 @@ class DepthStream:
     ) -> None:
         camera = {} if intrinsics is None else {"intrinsics": intrinsics}
         self.predictor, self.queue_size = functools.partial(predictor, **camera), max(1, queue_size)
-        self.dropped, self.announced, self.frames_per_second = 0, 0, 30.0
+        self.dropped, self.announced, self.frames_per_second = 0, 0, USUAL_RATE
         self.ended_too_soon = ""
         self._why_incomplete: Callable[[int], str] = lambda frames: ""
         live = isinstance(source, str | Path) and is_live(source)
@@ -202,13 +201,12 @@ class DepthStream:
         asked, shown = time.monotonic(), without_password(name)
         capture = _opened(int(camera) if name != camera else name, timeout)
         if capture is None or not capture.isOpened():
-            if timeout is not None and time.monotonic() - asked > 0.8 * timeout:
+            if timeout is not None and time.monotonic() - asked > 0.8 * timeout:  # FFmpeg gives up at 0.9
                 raise ValueError(f"source={shown} did not answer within {timeout:g} s: is it on, in reach?")
             raise ValueError(
                 f"source={shown} cannot be opened: no such camera, out of reach, or no permission"
             )
-        rate = float(capture.get(cv2.CAP_PROP_FPS))
-        self.frames_per_second = rate if 0 < rate <= 1000 else 30.0  # some state the clock's 90000
+        self.frames_per_second = plausible_rate(float(capture.get(cv2.CAP_PROP_FPS)))
         self.announced = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))  # an address may be of a file
 
         def why_incomplete(frames: int) -> str:
@@ -233,8 +231,8 @@ def _opened(camera: int | str, timeout: float | None) -> "cv2.VideoCapture | Non
             answer.put(cv2.VideoCapture(camera))
             return
         # this thread then ends before us: one that Python has to end may abort the process
-        most = min(round(900 * timeout), 2**31 - 1)
-        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, most, cv2.CAP_PROP_READ_TIMEOUT_MSEC, most]
+        milliseconds = min(round(0.9 * timeout * 1000), 2**31 - 1)
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, milliseconds, cv2.CAP_PROP_READ_TIMEOUT_MSEC, milliseconds]
         answer.put(cv2.VideoCapture(camera, cv2.CAP_ANY, limits))
 
     threading.Thread(target=ask, daemon=True).start()

@@ -27,8 +27,9 @@ VIDEO_ENDINGS = (
 # FFmpeg's names
 PLAYLISTS = {"hls", "applehttp", "dash", "concat", "sdp", "rtsp", "imf", "webm_dash_manifest"}
 LONGEST_STILL = 60.0  # [s]: a longer gap between two frames means that recordings were joined
-SLACK = 1.0  # [s] by which a file may end early; Matroska states its length exactly
-MATROSKA_SLACK = 0.1  # [s]
+SLACK = 1.0  # [s] by which a source may end before its stated end
+MATROSKA_SLACK = 0.1  # [s]: these files state it exactly
+USUAL_RATE = 30.0  # frames per second of a source that states no plausible number
 LARGEST_SIDE = 8190  # of a video that is written [px]: MPEG-4 has 13 bits for it
 MOST_PIXEL_ASPECT = 4  # width of a pixel by its height, or the inverse
 BITS_PER_PIXEL = 4  # of a video that is written: depth's colors stay as they are
@@ -112,7 +113,7 @@ class VideoFile:
         check_pixels((size[0], max(size[1], self._width)), path)
         self._stream.thread_type = "AUTO"
         rate = float(self._stream.guessed_rate or 0)
-        self.frames_per_second = rate if 0 < rate <= 1000 else 30.0  # some state the clock's 90000
+        self.frames_per_second = plausible_rate(rate)
         self._seconds = (self._container.duration or 0) / 1e6
         if self._container.format.name == "avi" and rate:  # a truncated file suggests a shorter length
             self._seconds = max(self._seconds, self._stream.frames / rate)
@@ -166,6 +167,11 @@ class VideoFile:
         if frames >= self.announced or not (ends_early or (self._broken and frames < self._stated)):
             return ""
         return f"is truncated or damaged: {frames} of {self.announced} frames could be read"
+
+
+def plausible_rate(stated: float) -> float:
+    """Return the stated frames per second, or :data:`USUAL_RATE`: some sources state a clock's 90000."""
+    return stated if 0 < stated <= 1000 else USUAL_RATE
 
 
 class JoinedTime:
