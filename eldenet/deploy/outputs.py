@@ -11,7 +11,7 @@ import numpy as np
 
 from eldenet.data.io import IMAGE_ENDINGS
 from eldenet.data.paths import composed, natural_order, visible_files
-from eldenet.deploy.video_files import VIDEO_ENDINGS
+from eldenet.deploy.video_files import USUAL_RATE, VIDEO_ENDINGS
 from eldenet.geometry import PinholeCamera, back_project, check_intrinsics
 from eldenet.system.errors import warn_once
 from eldenet.system.files import read_json, write_bytes, write_text
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ENDING = {"depth": "_depth.png", "color": "_color.png", "ply": ".ply", "sigma": "_sigma.png"}
 SIGMA_PICTURE = "_sigma_color.png"
 UNFINISHED = ".unfinished.json"  # in the folder of results that are not complete
-DEEPEST_MILLIMETERS = 65535  # in a 16-bit PNG
+DEEPEST = 65.535  # [m] that a 16-bit PNG of millimeters holds
 _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 _PLY_NAMES = {"<f4": "float", "|u1": "uchar"}
 
@@ -43,7 +43,7 @@ class Results:
         one_size: refuse pictures of another size than the first, since intrinsics were given.
         images: pictures or frames written so far.
         skipped: reasons why pictures could not be read.
-        too_far: pixels beyond 65.535 m, which the depth files cannot hold.
+        too_far: pixels beyond :data:`DEEPEST`, which the depth files cannot hold.
         unsure: pixels where the network is unsure, and ``pixels`` all of them.
         size: ``(height, width)`` of the first picture [px].
         frames_per_second: of a video, once it is open.
@@ -64,7 +64,7 @@ class Results:
     unsure: int = 0
     pixels: int = 0
     size: tuple[int, int] | None = None
-    frames_per_second: float = 30.0
+    frames_per_second: float = USUAL_RATE
     settings: dict[str, Any] | None = None
     viewer: "RerunViewer | None" = None
     also: Callable[[str, np.ndarray, Any, float | None, PinholeCamera | None], None] | None = None
@@ -87,7 +87,7 @@ class Results:
         return not self.overwrite and self.settings is not None and noted == self.settings
 
     def begin(self) -> None:
-        """Note the settings until :meth:`end`; not with ``overwrite``, when older results are there too."""
+        """Note the settings until :meth:`end`; with ``overwrite`` not, as older results are there too."""
         if self.settings is not None and not self.overwrite:
             write_text(self.folder / UNFINISHED, json.dumps(self.settings))
         else:
@@ -125,13 +125,20 @@ class Results:
         time: float | None = None,
         camera: PinholeCamera | None = None,
     ) -> None:
-        """Write the results of one picture: ``photo (H, W, 3)`` uint8 RGB, ``depth (H, W)`` [m].
+        """Write, count and show the results of one picture.
 
-        With the format "sigma", the colors are pale where the network is unsure.
-        ``time`` is when a video's frame was taken [s], from any zero; ``camera`` is for its points and boxes.
+        Args:
+            name: its files begin with it.
+            photo: ``(H, W, 3)`` uint8 RGB.
+            depth: ``(H, W)`` [m].
+            formats: the files to write; with "sigma" in the formats of all results, the colors are pale where
+                the network is unsure.
+            time: when a video's frame was taken [s], from any zero.
+            camera: for the points and boxes.
 
         Raises:
-            ValueError: the picture has another size than its intrinsics or, with ``one_size``, the first one.
+            ValueError: the intrinsics do not fit the picture, or it has another size than the first one, with
+                ``one_size``.
         """
         if not self.images:
             self.begin()
@@ -141,8 +148,7 @@ class Results:
         if self.one_size and self.size != (height, width):
             raise ValueError(
                 f"{name} is {height} x {width}, but the previous pictures are {self.size[0]} x "
-                f"{self.size[1]}: "
-                "one set of intrinsics fits one size, so predict them in separate folders"
+                f"{self.size[1]}: one set of intrinsics fits one size, so predict them in separate folders"
             )
         if camera is not None:
             check_intrinsics(camera.intrinsics, (height, width))
@@ -197,16 +203,16 @@ class Results:
             for line in self.skipped:
                 log.say(f"  {line}")
         if self.too_far:
-            log.say(f"{self.too_far} pixels are farther than 65.535 m: stored as 0 (unknown)")
+            log.say(f"{self.too_far} pixels are farther than {DEEPEST} m: stored as 0 (unknown)")
 
 
 def to_millimeters(depth: np.ndarray) -> np.ndarray:
-    """Depth ``(H, W)`` [m] -> uint16 [mm]; 0 (unknown) where it is unknown or beyond 65.535 m.
+    """Depth ``(H, W)`` [m] -> uint16 [mm]; 0 (unknown) where it is unknown or beyond :data:`DEEPEST`.
 
     :func:`eldenet.data.io.read_depth` with encoding "mm" reads it back.
     """
     millimeters = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) * 1000)
-    fits = (millimeters > 0) & (millimeters <= DEEPEST_MILLIMETERS)
+    fits = (millimeters > 0) & (millimeters <= 1000 * DEEPEST)
     return np.where(fits, millimeters, 0).astype(np.uint16)
 
 
