@@ -24,7 +24,6 @@ from eldenet.visualization import photo_beside_depth, visible_range
 from eldenet.weights import BEST, WEIGHT_FILES, find_checkpoint
 
 Picture = str | Path | Image.Image | np.ndarray
-WANTED = "give a file, a folder, a PIL picture, an array (H, W, 3) RGB, or a list of them"
 _loading = threading.Lock()
 
 
@@ -156,11 +155,11 @@ def estimate(
     )
     results = []
     for name, picture in pictures:
-        frame, origin = _read(picture)
-        camera = lens.camera_of(frame.shape, origin)
+        frame, photo = _read(picture)
+        camera = lens.camera_of(frame.shape, photo)
         if camera is not None:
             check_intrinsics(camera.intrinsics, (frame.shape[0], frame.shape[1]))
-        found = as_estimate(predictor(frame, focal=lens.focal_of(frame.shape, origin)))
+        found = as_estimate(predictor(frame, focal=lens.focal_of(frame.shape, photo)))
         results.append(PictureDepth(name, frame, found, camera))
     if predictor.canonical_px is not None and any(result.camera is None for result in results):
         warnings.warn(f"focal length {UNKNOWN_LENS}", stacklevel=2)
@@ -193,7 +192,10 @@ def _named(source: Any) -> list[tuple[str, Any]]:
 
 
 def _read(picture: Any) -> tuple[np.ndarray, Path | Image.Image | None]:
-    """The frame ``(H, W, 3)`` uint8 RGB of a picture, upright, and what may know its lens."""
+    """The frame ``(H, W, 3)`` uint8 RGB of a picture, upright, and the photo whose EXIF may know its lens.
+
+    An array has none.
+    """
     if isinstance(picture, Path):
         return read_image(picture, upright=True), picture
     if isinstance(picture, Image.Image):
@@ -202,7 +204,10 @@ def _read(picture: Any) -> tuple[np.ndarray, Path | Image.Image | None]:
         return np.asarray(ImageOps.exif_transpose(picture).convert("RGB")), picture
     if not isinstance(picture, np.ndarray) or picture.ndim != 3:
         what = f"array {picture.shape}" if isinstance(picture, np.ndarray) else type(picture).__name__
-        raise ValueError(f"source is {what}: {WANTED}")
+        raise ValueError(
+            f"source is {what}: give a file, a folder, a PIL picture, an array (H, W, 3) RGB, or a list of "
+            "them"
+        )
     if picture.dtype.kind == "f":
         if not (picture.size and picture.min() >= 0 and picture.max() <= 1):
             raise ValueError("source is a float array outside [0, 1]: divide it by 255, or give uint8")
@@ -239,5 +244,5 @@ def _load(checkpoint: str, _written: tuple[int, ...], *, exported: bool) -> Dept
 
         network = load(checkpoint)
         device = "cuda" if torch.cuda.is_available() else "cpu"
-    unsure = network.distribution is not None
-    return DepthPredictor(network, device=device, steady=False, sharp=True, uncertainty=unsure)
+    has_sigma = network.distribution is not None
+    return DepthPredictor(network, device=device, steady=False, sharp=True, uncertainty=has_sigma)

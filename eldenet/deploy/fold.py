@@ -22,8 +22,8 @@ def fold(model: DepthNet) -> DepthNet:
     """Return a copy of ``model`` for inference, in eval mode; its depth differs by rounding only.
 
     - Batch normalizations are folded into the convolution before them, in an ``nn.Sequential`` and in
-      torchvision's ResNet blocks. Subclasses are left alone, because they may do more, but for those of
-      ``nn.Sequential`` that call their layers in order as it does.
+      torchvision's ResNet blocks. Subclasses of convolutions and normalizations are left alone, because
+      they may do more.
     - Every up-convolution becomes one 3x3 convolution and its activation on the small map, and a pixel
       shuffle (:func:`merge_upconv`).
 
@@ -72,24 +72,23 @@ def _fold_sequence(sequence: nn.Sequential) -> None:
     """Fold consecutive layers of ``sequence`` in place; folded layers become identities."""
     parts = dict(sequence._modules)  # named_children() leaves out a layer that comes again
     names = [*parts, ""]
-    for name, after, last in zip(names, names[1:], names[2:], strict=False):
-        layer, norm = parts[name], parts[after]
+    for name, second, third in zip(names, names[1:], names[2:], strict=False):
+        layer, norm = parts[name], parts[second]
         if type(norm) is not nn.BatchNorm2d or norm.running_mean is None:
             continue  # timm's contains its activation; one without statistics takes each batch's own
         if type(layer) in PLAIN:
             parts[name] = fuse_conv_bn_eval(layer, norm)  # type: ignore[type-var]
-            parts[after] = nn.Identity()
+            parts[second] = nn.Identity()
         elif isinstance(layer, UpConv2d):
             scale = norm.weight / (norm.running_var + norm.eps).sqrt()  # type: ignore[operator,union-attr]
             bias = norm.bias - norm.running_mean * scale
-            relu = parts.get(last)
-            moves = isinstance(relu, nn.ReLU)  # beside its convolution it costs nothing
+            moves = isinstance(parts.get(third), nn.ReLU)  # beside its convolution it costs nothing
             parts[name] = merge_upconv(
                 layer.weight * scale[:, None, None, None], bias, nn.ReLU(inplace=True) if moves else None
             )
-            parts[after] = nn.Identity()
+            parts[second] = nn.Identity()
             if moves:
-                parts[last] = nn.Identity()
+                parts[third] = nn.Identity()
     for name, part in parts.items():
         sequence._modules[name] = part
 

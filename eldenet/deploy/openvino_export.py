@@ -51,7 +51,11 @@ def quantize_openvino(
 ) -> Path:
     """Turn an fp32 ONNX file into int8 OpenVINO IR with nncf.
 
-    The first convolution stays fp32, and what the focal length alone decides, until it meets the features.
+    The first convolution stays fp32, and so do the rays, which come of the focal length alone, up to the
+    operations that join them with the image (:func:`eldenet.deploy.onnx_export.quantize_onnx` says why).
+
+    Args:
+        inputs: calibration batches, as the file takes them.
 
     Raises:
         ImportError: nncf is not installed.
@@ -64,7 +68,7 @@ def quantize_openvino(
         import nncf
     network = openvino_core().read_model(str(source))
     seen = {network.inputs[0].get_node().get_friendly_name()}  # what depends on the image's values
-    of_lens = {port.get_node().get_friendly_name() for port in network.inputs[1:]}  # on the lens, not on them
+    of_lens = {port.get_node().get_friendly_name() for port in network.inputs[1:]}  # on the lens alone
     stem: list[str] = []
     exact: list[str] = []
     for op in network.get_ordered_ops():

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from eldenet.model import DepthNet
 
-MAX_SIDE = 640
+MAX_SIDE = 640  # of frames for a network without a training size [px]
 LEAST_SIDE = 8  # of a frame [px]: smaller ones show nothing
 NO_FOCAL = (
     "this network ignores focal lengths: the camera does not change the depth, whose meters are right for "
@@ -189,7 +189,7 @@ class DepthPredictor:
             logging.getLogger("eldenet").warning(NO_FOCAL)
         picture, (depth, *sigma) = self._maps(frame, focal)
         check_depth(depth)
-        spread = [each / depth for each in sigma]  # it stays what it is where depth changes
+        spread = [each / depth for each in sigma]  # what follows changes depth, and sigma in proportion
         if self.steady:
             depth = self._filter_of((size, focal))(picture, depth)
         if self.sharp:
@@ -198,7 +198,10 @@ class DepthPredictor:
         return DepthEstimate(depth, depth * spread[0], self.model.distribution) if spread else depth
 
     def _maps(self, frame: np.ndarray, focal: float | None) -> tuple[np.ndarray, list[np.ndarray]]:
-        """The frame, and its depth and sigma [m], at the network's own size."""
+        """The frame as the network sees it, without border or padding, and its depth and sigma [m] there.
+
+        ``(h, w, 3)`` uint8 RGB, and a map ``(h, w)`` or two; sigma only if ``uncertainty``.
+        """
         height, width = frame.shape[:2]
         camera = self.model.camera_size if isinstance(self.model, Runtime) else None
         size = camera or self.size_for(height, width)
