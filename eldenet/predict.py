@@ -128,7 +128,7 @@ def predict(s: PredictSettings) -> "Results":
     """
     from eldenet.deploy import runtimes
     from eldenet.deploy.lens import Lens
-    from eldenet.deploy.prediction import Timed, find_source, predict_pictures, predict_video
+    from eldenet.deploy.prediction import TimedPredictor, find_source, predict_pictures, predict_video
     from eldenet.deploy.stream import refuse_missing_camera
     from eldenet.deploy.viewer import RerunViewer, open_recording
     from eldenet.results.run_log import RunLog
@@ -162,7 +162,7 @@ def predict(s: PredictSettings) -> "Results":
         fov=s.fov,
         origin=origin,
     )
-    predictor = Timed(network, lens)
+    predictor = TimedPredictor(network, lens)
     boxes: AbstractContextManager[Any] = nullcontext()
     viewer: AbstractContextManager[RerunViewer | None] = nullcontext()
     if perception is not None:
@@ -226,7 +226,7 @@ def open_results(s: PredictSettings, source: "Source") -> "Results":
     Raises:
         ValueError: there is no such format, a format needs the lens, or a result already exists.
     """
-    from eldenet.deploy.lens import needs_lens
+    from eldenet.deploy.lens import require_lens
     from eldenet.deploy.outputs import ENDING, Results
     from eldenet.results.fingerprints import fingerprint
 
@@ -239,7 +239,7 @@ def open_results(s: PredictSettings, source: "Source") -> "Results":
     if not formats:
         raise ValueError(f"formats is empty: give at least one of {', '.join(ENDING)}")
     if not s.lenses and (s.boxes or "ply" in formats):
-        needs_lens("boxes" if s.boxes else "point clouds", list(source.names), is_video=source.is_video)
+        require_lens("boxes" if s.boxes else "point clouds", list(source.names), is_video=source.is_video)
     results = Results(
         Path(s.output).expanduser(),
         tuple(formats),

@@ -1,4 +1,4 @@
-"""Which lens ``eldenet.predict`` assumes.
+"""Which lens ``eldenet.predict`` and ``eldenet.estimate`` assume.
 
 The one given; otherwise that of KITTI's calibration or of the EXIF; otherwise the canonical one.
 """
@@ -43,11 +43,11 @@ class Lens:
 
     Args:
         canonical_px: of the network; None: it ignores focal lengths.
-        known_fov: of the network, a file for one camera [degrees]; None: it is not.
+        known_fov: horizontal field of view of the one camera that the file is for [degrees]; None: any.
         intrinsics: ``(fx, fy, cx, cy)`` or ``(3, 3)`` of all pictures [px], or None.
         focal: fx of all pictures [px], or None.
         fov: horizontal field of view of all pictures [degrees], or None.
-        origin: where one of these three comes from.
+        origin: where the given one of these three comes from.
 
     Attributes:
         found: where the focal length of the last picture comes from.
@@ -155,7 +155,7 @@ class Lens:
         return "; ".join(lines)
 
 
-def needs_lens(what: str, sources: Sequence[Path | str], *, is_video: bool) -> None:
+def require_lens(what: str, sources: Sequence[Path | str], *, is_video: bool) -> None:
     """Raise ValueError for the first picture, or the video, that does not say its lens itself.
 
     ``what`` needs it: "boxes" or "point clouds".

@@ -37,7 +37,7 @@ class Source:
 
     Attributes:
         names: picture -> name of its results; a video or camera is one entry.
-        is_video: whether it is a video or a camera.
+        is_video: whether it is a video, a bag of ROS, a camera or an address.
         is_live: whether it is a camera or an address.
         bag: the bag of ROS that the video is, if it is one.
     """
@@ -48,12 +48,12 @@ class Source:
     bag: Bag | None = None
 
 
-class Timed:
-    """A depth predictor that finds each picture's lens and records how long each picture took.
+class TimedPredictor:
+    """A depth predictor that finds each picture's lens, and records that and how long each picture took.
 
     Attributes:
-        seconds: of each of the last pictures.
-        max_depth: of the network [m], or None.
+        seconds: that each of the last pictures took.
+        max_depth: largest depth that the network can predict [m]; None: any.
     """
 
     def __init__(self, predictor: "DepthPredictor", lens: Lens) -> None:
@@ -64,7 +64,7 @@ class Timed:
     def __call__(self, frame: np.ndarray, path: Path | None = None) -> Any:
         """Depth ``(H, W)`` [m] of a frame, with its sigma if the network predicts it.
 
-        ``path`` is of the photo, whose EXIF may know the lens.
+        ``path`` is that of the photo: its EXIF, or KITTI's calibration beside it, may know the lens.
         """
         focal = self.lens.focal_of(frame.shape, path)
         start = time.perf_counter()
@@ -106,7 +106,7 @@ def find_source(
 
 def predict_pictures(
     names: Mapping[Path | str, str],
-    predictor: Timed,
+    predictor: TimedPredictor,
     results: Results,
     log: "RunLog",
     stop: "GracefulStop",
@@ -152,7 +152,7 @@ def predict_pictures(
 def predict_video(
     source: Path | str | Bag,
     name: str,
-    predictor: Timed,
+    predictor: TimedPredictor,
     results: Results,
     log: "RunLog",
     stop: "GracefulStop",
