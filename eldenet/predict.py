@@ -22,6 +22,7 @@ from eldenet.cli.entry_point import entry_point, refuse_unread
 from eldenet.compose import REQUIRED, listed
 from eldenet.configurable import instantiate
 from eldenet.data.bags import is_bag
+from eldenet.deploy.predictor import MAX_SIDE
 from eldenet.geometry import focal_length, intrinsic_matrix
 from eldenet.system.checks import at_least, check_size, one_of
 from eldenet.system.extras import require
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from eldenet.perception.scene import Perception
     from eldenet.results.run_log import RunLog
     from eldenet.system.resources import Resources
+
+RECORDING = "predict.rrd"  # for the Rerun viewer
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ class PredictSettings:
     # (height, width) that the network sees [px]; null: the size of its training (after training on crops: of
     # a whole frame at that scale), else the picture's own, limited by max_side
     input_size: Any = None
-    max_side: int = 640  # longest side of pictures for a network without a training size [px]
+    max_side: int = MAX_SIDE  # longest side of pictures for a network without a training size [px]
     # [near, far] of the colors [m]; null: each picture's own (in a video it changes slowly)
     depth_range: Any = None
     steady: bool = True  # false: predict every frame of a video on its own, so that its depth may flicker
@@ -123,7 +126,8 @@ def predict(s: PredictSettings) -> "Results":
     Raises:
         ValueError: a setting is wrong, a picture cannot be read, or the network cannot run here.
         FileNotFoundError: there is no such source.
-        KeyboardInterrupt: Ctrl-C, after the current picture; a camera ends without.
+        KeyboardInterrupt: Ctrl-C, after the current picture; not with a camera, which ends so.
+        SystemExit: another signal, likewise.
         OSError: the source ended early; earlier results are written.
     """
     from eldenet.deploy import runtimes
@@ -145,10 +149,11 @@ def predict(s: PredictSettings) -> "Results":
     if source.bag is not None and (source.bag.knows_lens or not s.lenses):
         if s.focal or s.fov:
             raise ValueError(f"{s.lenses[0]}: the CameraInfo of a bag says the lens; intrinsics= replaces it")
-        origin = "from CameraInfo" if s.intrinsics is None else origin
+        if s.intrinsics is None:
+            origin = "from CameraInfo"
         s = replace(s, intrinsics=source.bag.intrinsics)
     results = open_results(s, source)
-    recording = results.folder / "predict.rrd" if s.viewer is not None else None
+    recording = results.folder / RECORDING if s.viewer is not None else None
     perception = open_perception(s, source) if s.boxes else None
 
     log = RunLog(results.folder)
@@ -201,14 +206,7 @@ def predict(s: PredictSettings) -> "Results":
     if results.images and (line := lens.describe(points=points)):
         log.say(line)
     if results.images and s.boxes and not source.is_video:
-        from eldenet.perception.kitti_ap import DIFFICULTIES, precision_rows
-
-        written = {Path(path): results.folder / f"{name}_boxes.txt" for path, name in source.names.items()}
-        rows = precision_rows({path: file for path, file in written.items() if file.is_file()})
-        if rows:
-            log.table("KITTI's AP (R40) by the labels in label_2 [%]", ["IoU", *DIFFICULTIES], rows)
-            if any(" of " in cell for row in rows for cell in row):
-                log.say("of: the most that KITTI's AP can be with fewer than 41 objects")
+        say_precision(source, results.folder, log)
     if results.images and recording is not None:
         log.say(f"recording: rerun {recording}")
     if not stop or source.is_live:
@@ -218,6 +216,18 @@ def predict(s: PredictSettings) -> "Results":
     if not source.is_live:
         stop.obey()
     return results
+
+
+def say_precision(source: "Source", folder: Path, log: "RunLog") -> None:
+    """Print KITTI's AP of the boxes in ``folder``, if the pictures come with labels."""
+    from eldenet.perception.kitti_ap import DIFFICULTIES, precision_rows
+
+    written = {Path(path): folder / f"{name}_boxes.txt" for path, name in source.names.items()}
+    rows = precision_rows({path: file for path, file in written.items() if file.is_file()})
+    if rows:
+        log.table("KITTI's AP (R40) by the labels in label_2 [%]", ["IoU", *DIFFICULTIES], rows)
+        if any(" of " in cell for row in rows for cell in row):
+            log.say("of: the most that KITTI's AP can be with fewer than 41 objects")
 
 
 def open_results(s: PredictSettings, source: "Source") -> "Results":
@@ -249,7 +259,7 @@ def open_results(s: PredictSettings, source: "Source") -> "Results":
     )
     if s.viewer is not None:
         require("viewer=rerun", "rerun")
-        results.refuse_to_overwrite([], [results.folder / "predict.rrd"])
+        results.refuse_to_overwrite([], [results.folder / RECORDING])
     if not (s.boxes or s.viewer or source.is_live):
         deciding = ("checkpoint", "source", "engine", "input_size", "max_side", "depth_range", "sharp")
         results.settings = {name: str(getattr(s, name)) for name in (*deciding, "intrinsics", "focal", "fov")}
