@@ -199,12 +199,10 @@ def compare_with_torch(
     """Print the differences between torch and the file under each installed runtime, of depth and sigma.
 
     Raises:
-        ValueError: an output of an fp32 file differs from torch's, or no installed runtime loads the file.
+        ValueError: an output of an fp32 file differs from torch's, a runtime cannot run the file, or no
+            installed one loads it.
     """
-    import torch
-
     from eldenet.deploy import runtimes
-    from eldenet.deploy.predictor import as_image, enlarged
 
     s, output = target.s, target.output
     height, width = target.size
@@ -213,37 +211,27 @@ def compare_with_torch(
     each = ([target.size] + [odd, (width, height)] * target.any_size) * len(pictures)
     sizes = [s.camera or size for size in each[: len(pictures)]]
     seen = [resize_image(picture, size) for picture, size in zip(pictures, sizes, strict=True)]
-    outputs = ("depth",) if model.distribution is None else ("depth", "sigma")
     widths = [picture.shape[1] for picture in seen]
     if s.fov is not None:
         lenses: list[float | None] = [focal_of_fov(s.fov, width) for width in widths]
-    else:
-        told = model.canonical_px is not None
-        lenses = [0.9 * width if told and number % 2 else None for number, width in enumerate(widths)]
-    reference = []
-    for picture, lens in zip(seen, lenses, strict=True):
-        width = picture.shape[1]
-        # float32: resizing must not round to gray levels, as camera files do not
-        image = as_image(resize_image(picture.astype(np.float32), target.size) if s.camera else picture)
-        focal = None if lens is None else lens * image.shape[3] / width
-        with torch.inference_mode():
-            answer = model.predict(torch.from_numpy(image), focal)
-        maps = {kind: getattr(answer, kind)[0, 0].numpy() for kind in outputs}
-        reference.append({kind: enlarged(each, picture.shape[:2]) for kind, each in maps.items()})
-    rows, fault, inputs = [], "", [as_input(picture, target) for picture in seen]
+    else:  # every second picture with a lens, if the network takes one
+        takes_lens = model.canonical_px is not None
+        lenses = [0.9 * width if takes_lens and number % 2 else None for number, width in enumerate(widths)]
+    reference = [torch_maps(target, model, *given) for given in zip(seen, lenses, strict=True)]
+    rows, not_loaded, inputs = [], "", [as_input(picture, target) for picture in seen]
     for name in filter(runtimes.installed, runtimes.READS[output.suffix]):
         try:
             network = runtimes.load(output, name, threads=1)
         except ValueError as error:
-            fault = str(error)
-            log.say(f"not compared under {name}: {fault}")
+            not_loaded = str(error)
+            log.say(f"not compared under {name}: {not_loaded}")
             continue
         try:
             estimates = [network.predict(*given) for given in zip(inputs, lenses, strict=True)]
         except Exception as error:  # each runtime has a class of its own
             advice = f" at any size: give size={list(target.size)}, or another one" * target.any_size
             raise ValueError(f"{output} was removed, as {name} cannot run it{advice} ({error})") from error
-        for kind in outputs:
+        for kind in reference[0]:
             ours = np.concatenate([getattr(estimate, kind)[0, 0].ravel() for estimate in estimates])
             theirs = np.concatenate([maps[kind].ravel() for maps in reference])
             found = map_errors(ours, theirs)
@@ -258,13 +246,39 @@ def compare_with_torch(
                     f"median pixel and {found['max_relative']:.0%} in the worst; compare its accuracy, give "
                     "pictures of the place where it will run, or keep fp32"
                 )
-    if fault and not rows and s.precision != "bf16":  # which another processor may have
-        raise ValueError(f"{output} was removed, as no runtime here loads it ({fault})")
+    if not_loaded and not rows and s.precision != "bf16":  # which another processor may have
+        raise ValueError(f"{output} was removed, as no runtime here loads it ({not_loaded})")
     title = (
         f"{target.name}, {s.precision}: the file beside torch on {len(seen)} pictures, seen at "
         f"{target.size[0]} x {target.size[1]}"
     )
     log.table(title, ["runtime", "output", "max [m]", "median [m]", "max, rel.", "median, rel."], rows)
+
+
+def torch_maps(
+    target: Target, model: "DepthNet", picture: np.ndarray, focal: float | None
+) -> dict[str, np.ndarray]:
+    """What the file should answer: torch's "depth", and "sigma" if there is one, ``(H, W)`` [m] each.
+
+    Args:
+        picture: ``(H, W, 3)`` uint8 RGB, of the size that the file takes.
+        focal: fx [px of the picture]; None: the canonical camera's.
+    """
+    import torch
+
+    from eldenet.deploy.predictor import as_image, enlarged
+
+    height, width = picture.shape[:2]
+    # float32: resizing must not round to gray levels, as camera files do not
+    image = as_image(resize_image(picture.astype(np.float32), target.size) if target.s.camera else picture)
+    with torch.inference_mode():
+        estimate = model.predict(
+            torch.from_numpy(image), None if focal is None else focal * image.shape[3] / width
+        )
+    maps = {"depth": estimate.depth, "sigma": estimate.sigma}
+    return {
+        kind: enlarged(each[0, 0].numpy(), (height, width)) for kind, each in maps.items() if each is not None
+    }
 
 
 def say_contents(output: Path, log: "RunLog") -> None:
