@@ -162,7 +162,7 @@ def _label(s: AdaptSettings) -> AdaptSettings:
         source, poses, intrinsics, pitch=s.camera_pitch, ahead=s.camera_ahead, log=log
     )
     camera = label_drive(source, poses, lens, labels, s.frames, log)
-    encoding = {"scale": 0.001, "dtype": "uint16"}  # whatever is nearest
+    encoding = {"scale": 0.001, "dtype": "uint16"}  # not "mm", which refuses frames that end within 0.255 m
     read = {"root": str(labels), "intrinsics": camera, "ground_truth": "sparse", "encoding": encoding}
     data = {**s.data, **read, "protocol": {**s.data["protocol"], "ground_truth": "sparse"}}
     data |= {part: {**s.data[part], **read} for part in ("train", "val", "test")}

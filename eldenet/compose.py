@@ -31,7 +31,7 @@ from omegaconf.errors import InterpolationToMissingValueError, ValidationError  
 from yaml import YAMLError  # noqa: E402
 
 REQUIRED: Any = MISSING  # the default of a setting that has none
-#: Metadata of a field that some choices of a group add, such as policy=dqn ``checkpoint``; None without them.
+#: Metadata of a field that only some choices of a group add, as policy=dqn adds ``checkpoint``; else None.
 FROM_CHOICE = {"from_choice": True}
 #: Focal lengths [widths of the picture] for which the head of a canonical camera covers the data's depth.
 FOCAL_RANGE = (0.4, 2.0)
@@ -218,11 +218,11 @@ def listed(value: Any) -> list[Any]:
 def resolver(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorate a function that YAML files call as ``${name:argument,...}``."""
 
-    def register(function: Callable[..., Any]) -> Callable[..., Any]:
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         OmegaConf.register_new_resolver(name, function, replace=True)
         return function
 
-    return register
+    return decorate
 
 
 if not OmegaConf.has_resolver("now"):  # Hydra's own, which is there in its applications alone

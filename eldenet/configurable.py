@@ -131,6 +131,7 @@ def build(config: Any, trusted_modules: Sequence[str] = ()) -> Any:
 
 
 def _resolve(target: str, trusted_modules: Sequence[str]) -> type[Configurable]:
+    """Return the class that ``target`` names; a module that is not trusted is not imported."""
     module, _, name = target.rpartition(".")
     trusted = (*TRUSTED_MODULES, *trusted_modules)
     if not any(module == one or module.startswith(f"{one}.") for one in trusted):

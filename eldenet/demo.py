@@ -85,7 +85,7 @@ def demo(s: DemoSettings) -> None:
         log.say(untrained_note(s.checkpoint))
     server = open_server(output, s.port) if s.serve else None  # before minutes are spent
     build_page(model, s, output, log)
-    log.say(f"written to {output}: {', '.join(PAGE)}, network.onnx, runtime")
+    log.say(f"written to {output}: {', '.join(PAGE)}, network.onnx, network.json, runtime")
     if server is not None:
         serve(server, log, browser=s.browser)
 

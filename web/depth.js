@@ -157,11 +157,11 @@ export function valueAt(map, size, x, y) {
   return upper + (along(bottom) - upper) * (row - top);
 }
 
-// What the session takes. A network that sees rays is told fx [px of the frame], and answers in meters; null: for
-// the canonical camera. Others always answer with depth of the canonical camera.
+// What the session takes. `focal` is fx [px of the frame], or null. A network that sees rays is told it in pixels of
+// the image, 0 for null, and answers in meters. Other networks answer with depth of the canonical camera.
 export function inputs(ort, network, image, frame, box, focal) {
   const given = { image: new ort.Tensor("float32", image, [1, 3, ...network.size]) };
-  const seen = ((focal ?? 0) * box.width) / frame.width; // 0: unknown
+  const seen = ((focal ?? 0) * box.width) / frame.width;
   if (network.sees_rays) given.focal = new ort.Tensor("float32", [seen], [1]);
   return given;
 }

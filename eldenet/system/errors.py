@@ -46,7 +46,7 @@ def reading(source: object, kind: str, advice: str = AGAIN) -> Iterator[None]:
 
 @contextmanager
 def writing(folder: Path, what: str) -> Iterator[None]:
-    """Name the folder, and ``what`` was to be written, where a disk is full or must not be written.
+    """Let the error of a full disk or a closed folder name the folder, and ``what`` was not written there.
 
     Raises:
         DiskError: in place of the system's error.

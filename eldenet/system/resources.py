@@ -18,11 +18,11 @@ LONGEST_WAIT = timedelta(days=2)  # for the process that prepares data: it may r
 
 
 def prepare_environment() -> None:
-    """Set what torch reads while it loads; call it before the first ``import torch``.
+    """Set what torch and albumentations read while they load; call it before they are imported.
 
     Two OpenMP threads that spin while another process wants their core slow each other down more than
     tenfold; threads that wait passively keep three quarters of the speed. cuBLAS repeats its results only
-    with this workspace, and torch warns without it.
+    with this workspace, and torch warns without it. Albumentations would ask the network for a newer version.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")

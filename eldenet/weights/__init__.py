@@ -65,7 +65,7 @@ def find_checkpoint(name: str | Path, setting: str = "source", *, trained: bool 
 
     Raises:
         FileNotFoundError: there is no such file or folder.
-        ValueError: there is no network of that name, or it is not trained.
+        ValueError: there is no network of that name, it is not ``trained``, or a file holds tensors alone.
     """
     source, path = str(name), located(name)
     if source in list_models():
