@@ -261,8 +261,9 @@ def open_results(s: PredictSettings, source: "Source") -> "Results":
         require("viewer=rerun", "rerun")
         results.refuse_to_overwrite([], [results.folder / RECORDING])
     if not (s.boxes or s.viewer or source.is_live):
-        deciding = ("checkpoint", "source", "engine", "input_size", "max_side", "depth_range", "sharp")
-        results.settings = {name: str(getattr(s, name)) for name in (*deciding, "intrinsics", "focal", "fov")}
+        of_network = ("checkpoint", "engine", "input_size", "max_side", "steady", "sharp")
+        deciding = (*of_network, "source", "topic", "intrinsics", "focal", "fov", "depth_range")
+        results.settings = {name: str(getattr(s, name)) for name in deciding}
         results.settings |= {"formats": formats, "weights": fingerprint(str(s.checkpoint))}
     files = [file for name in source.names.values() for file in results.files(name, is_video=source.is_video)]
     results.refuse_to_overwrite(list(map(Path, source.names)), files)

@@ -47,8 +47,8 @@ class Results:
         unsure: pixels where the network is unsure, and ``pixels`` all of them.
         size: ``(height, width)`` of the first picture [px].
         frames_per_second: of a video, once it is open.
-        settings: that decide what the results are; noted in ``folder`` until all are written, so that the
-            same command goes on after it was stopped. None: it starts again.
+        settings: all that decide what the results are. They are noted in ``folder`` until all results are
+            written, so that the same command goes on after it was stopped. None: it starts again.
         viewer: shows each picture too, or None.
         also: receives the name, photo, depth, time and camera of each picture too.
     """
@@ -87,7 +87,10 @@ class Results:
         return not self.overwrite and self.settings is not None and noted == self.settings
 
     def begin(self) -> None:
-        """Note the settings until :meth:`end`; with ``overwrite`` not, as older results are there too."""
+        """Note the settings until :meth:`end`.
+
+        Without settings, or with ``overwrite``, forget an earlier note: results of other settings mix then.
+        """
         if self.settings is not None and not self.overwrite:
             write_text(self.folder / UNFINISHED, json.dumps(self.settings))
         else:

@@ -18,10 +18,10 @@ import eldenet
 from eldenet.data.io import read_depth
 from eldenet.deploy import outputs
 from eldenet.deploy.outputs import name_results
-from eldenet.deploy.prediction import find_source
+from eldenet.deploy.prediction import Source, find_source
 from eldenet.deploy.predictor import DepthPredictor
 from eldenet.model import DepthNet
-from eldenet.predict import open_predictor
+from eldenet.predict import open_predictor, open_results
 from eldenet.results.run_log import RunLog
 from eldenet.system.resources import Resources, choose_resources
 from eldenet.weights import BEST
@@ -342,6 +342,18 @@ def test_an_exported_file_and_a_wrong_source_load_no_torch(model: DepthNet, tmp_
         assert done.returncode == 0, done.stderr
         assert checkpoint != file or "license of the weights: not stated" in done.stdout
     assert listed(tmp_path / "out") == ["a_boxes.png", "a_boxes.txt", "a_color.png", "a_depth.png"]
+
+
+@pytest.mark.parametrize(
+    ("words", "goes_on"), [((), True), (("steady=false",), False), (("topic=/b",), False)]
+)
+def test_a_stopped_video_goes_on_with_the_same_settings_alone(
+    model_folder: Path, tmp_path: Path, words: tuple[str, ...], goes_on: bool
+) -> None:
+    video = Source({tmp_path / "walk.mp4": "walk"}, is_video=True, is_live=False)
+    stopped, now = (settings(model_folder, tmp_path, tmp_path / "out", *more) for more in ((), words))
+    open_results(stopped, video).begin()
+    assert open_results(now, video).goes_on == goes_on
 
 
 def test_a_command_that_a_full_disk_stopped_goes_on_without_overwrite(
