@@ -82,8 +82,8 @@ def recognize_folder(folder: Path) -> bool:
     Raises:
         FileNotFoundError: there is no such folder.
     """
+    from eldenet.data.folder_recognition import recognize
     from eldenet.data.known_layouts import tree_lines
-    from eldenet.data.recognition import recognize
     from eldenet.results.run_log import RunLog
 
     log, recognized = RunLog(folder), recognize(folder)

@@ -1,7 +1,7 @@
 """``arenas``: the view of the navigating robot's camera, rendered with rays; needs no download."""
 
-from eldenet.data.rendered import RenderedScenes
-from eldenet.data.rendering import Generator
+from eldenet.data.rendered_scenes import RenderedScenes
+from eldenet.data.scene_store import Generator
 
 
 class Arenas(RenderedScenes):

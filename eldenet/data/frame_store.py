@@ -1,11 +1,11 @@
 """One file of decoded frames that any number of processes read and write at once.
 
-The file consists of slots, a frame in each: a header, the image as uint8, the depth as
-float32. The header is written after the pixels and holds their checksum, which every read checks. So a slot
-that a killed process, a power cut or two writers left behind is whole, or counts as empty.
+The file consists of slots, a frame in each: a header, the image as uint8, the depth as float32. The header
+is written after the pixels and holds their checksum, which every read checks. So a slot that a killed
+process, a power cut or two writers left behind is whole, or counts as empty.
 
-:mod:`eldenet.data.cache` keeps the frames of a data set in such a file, :mod:`eldenet.data.rendered` those
-that it renders. A render process loads this module, so it must not load torch.
+:mod:`eldenet.data.cache` keeps frames once they are read in such a file, :mod:`eldenet.data.scene_store`
+rendered frames. A render process loads this module, so it must not load torch.
 """
 
 import os

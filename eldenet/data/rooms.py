@@ -1,7 +1,7 @@
 """``rooms``: furnished rooms rendered with rays, the data set that needs no download."""
 
-from eldenet.data.rendered import RenderedScenes
-from eldenet.data.rendering import Generator
+from eldenet.data.rendered_scenes import RenderedScenes
+from eldenet.data.scene_store import Generator
 
 
 class Rooms(RenderedScenes):

@@ -1,7 +1,7 @@
 """``streets``: rendered streets as a car's camera sees them; needs no download."""
 
-from eldenet.data.rendered import RenderedScenes
-from eldenet.data.rendering import Generator
+from eldenet.data.rendered_scenes import RenderedScenes
+from eldenet.data.scene_store import Generator
 
 
 class Streets(RenderedScenes):

@@ -8,7 +8,7 @@ from typing import Any
 from torch import nn
 
 from eldenet.data.base import DepthDataset
-from eldenet.data.rendered import RenderedScenes
+from eldenet.data.rendered_scenes import RenderedScenes
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
 from eldenet.evaluation.cost import CostReport, measure_cost
 from eldenet.evaluation.evaluator import PER_IMAGE_HEADER, Evaluation, evaluate, picture_of_samples

@@ -9,7 +9,7 @@ import pytest
 
 from eldenet.compose import compose
 from eldenet.data.arenas import Arenas
-from eldenet.data.rendering import DEPTH_STEP
+from eldenet.data.scene_store import DEPTH_STEP
 from eldenet.evaluation.splits import chosen_protocol, open_split
 from eldenet.simulation import arena_view
 from eldenet.simulation.arena_view import FIRST_ARENA, ArenaView, camera_pose, render_arena

@@ -56,7 +56,7 @@ def mat_with_all_splits(root: Path) -> Path:
 
 
 def test_every_data_set_is_tested() -> None:
-    # rendered: test_rendered.py, test_arena_frames.py; several sources: test_mix.py
+    # rendered: test_rendered_scenes.py, test_arena_frames.py; several sources: test_mix.py
     elsewhere = {"rooms", "arenas", "streets", "mix", "mix_photographs"}
     names = {path.stem for path in (config_folder() / "data").glob("*.yaml")}
     assert names - set(TREES) <= elsewhere

@@ -12,7 +12,7 @@ from support.scoring import score_small
 from support.synthetic import SyntheticDepth
 
 from eldenet.compose import compose
-from eldenet.data import rendered, rendering
+from eldenet.data import rendered_scenes, scene_store
 from eldenet.data.folder import FolderDataset
 from eldenet.data.rooms import Rooms
 from eldenet.evaluation.constant_baseline import fit_constant_predictor
@@ -110,10 +110,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
         folder: Path, generator: Any, split: str, scenes: Sequence[int], size: Any, workers: int
     ) -> None:
         found.append((split, list(scenes)))
-        rendering.render_missing(folder, generator, split, scenes, size, workers=0)
+        scene_store.render_missing(folder, generator, split, scenes, size, workers=0)
 
     monkeypatch.setattr(render_module, "render_room", flat_scene)
-    monkeypatch.setattr(rendered, "render_missing", render)
+    monkeypatch.setattr(rendered_scenes, "render_missing", render)
     return found
 
 

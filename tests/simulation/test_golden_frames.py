@@ -13,8 +13,8 @@ import pytest
 from support.scripts import load_scripts
 
 from eldenet.data.arenas import Arenas
-from eldenet.data.rendering import encode_depth
 from eldenet.data.rooms import Rooms
+from eldenet.data.scene_store import encode_depth
 from eldenet.data.streets import Streets
 from eldenet.simulation.arena_view import render_arena
 from eldenet.simulation.furnished_rooms.render import render_room

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from eldenet.data import rendered
+from eldenet.data.splits import SPLITS as DATA_SPLITS
 from eldenet.geometry import back_project, pinhole
 from eldenet.simulation.furnished_rooms.render import render_room
 from eldenet.simulation.furnished_rooms.rooms import SPLITS, generate_room
@@ -31,7 +31,7 @@ def test_the_text_of_a_room_never_changes():
 def test_no_two_rooms_are_alike_in_or_across_splits():
     texts = {generate_room(split, index).text for split in ("train", "val", "test") for index in range(4)}
     assert len(texts) == 12
-    assert tuple(SPLITS) == rendered.SPLITS
+    assert tuple(SPLITS) == DATA_SPLITS
 
 
 def test_every_room_compiles_and_is_furnished():

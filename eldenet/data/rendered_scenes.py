@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -10,14 +9,14 @@ import numpy as np
 
 from eldenet.data.base import DepthDataset, SampleOptions
 from eldenet.data.paths import default_cache
-from eldenet.data.rendering import VIEWS, Generator, SceneStore, frame_name, render_missing
+from eldenet.data.scene_store import VIEWS, Generator, SceneStore, frame_name, render_missing
+from eldenet.data.splits import SPLITS
+from eldenet.simulation.depth_camera import StereoArtifacts
 from eldenet.system.checks import one_of
 from eldenet.system.digests import digest_of
 from eldenet.system.errors import DiskError
 from eldenet.system.resources import available_cores
 from eldenet.types import Frame
-
-SPLITS = ("train", "val", "test")
 
 
 class RenderedScenes(DepthDataset):
@@ -34,19 +33,21 @@ class RenderedScenes(DepthDataset):
         size: ``(height, width)`` of the rendered frames [px]; None: ``default_size``.
         root: folder for rendered frames; None for ``$ELDENET_CACHE``, else ``~/.cache/eldenet``.
         workers: processes that render missing frames; None for one per core, 0 renders in this process.
-        focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for a network that shall know any lens;
-            None: that of the data set.
+        focal: range of focal lengths [widths], such as ``[0.4, 2.0]`` for networks that take any lens; None:
+            those of the data set.
         detail: frames of ``detailed``: closer to real pictures.
         near: of rooms: share of frames of what is close, half of their pixels within 0.3 to 1.2 m.
         down: of rooms: share of frames that look down at the floor and what stands on it.
         plain: of rooms: share of rooms whose surfaces have no pattern.
         depth_camera: depth as a stereo depth camera measures it, with holes at edges, a dead column and noise
             (:class:`~eldenet.simulation.depth_camera.StereoArtifacts`); the same in every epoch.
-        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, at most
-            0 to ``generator.farthest``.
+        **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 0.1 to 10 m unless given, and
+            ``max_depth`` at most ``generator.farthest``.
 
     Raises:
+        ValueError: a setting is out of its range, or this data set has no such frames.
         RuntimeError: a render process failed.
+        OSError: the folder cannot store the frames.
     """
 
     ground_truth = "dense"
@@ -73,9 +74,7 @@ class RenderedScenes(DepthDataset):
         depth_camera: bool = False,
         **options: Unpack[SampleOptions],
     ) -> None:
-        self.artifacts = None
-        if depth_camera:  # found by its name, like the renderer: simulation lies above data
-            self.artifacts = import_module("eldenet.simulation.depth_camera").StereoArtifacts()
+        self.artifacts = StereoArtifacts() if depth_camera else None
         shares = {"near": near, "down": down, "plain": plain}
         extra: dict[str, Any] = {name: float(share) for name, share in shares.items() if share}
         given = ", ".join(f"{name}={share:g}" for name, share in extra.items())

@@ -1,6 +1,6 @@
-"""Rendering the frames that a rendered data set lacks, here or in worker processes.
+"""The stored frames of a rendered data set; missing ones are rendered here or in worker processes.
 
-``python -m eldenet.data.rendering`` is such a worker; it loads neither torch nor the caller's main module.
+``python -m eldenet.data.scene_store`` is such a worker; it loads neither torch nor the caller's main module.
 """
 
 import json
@@ -19,7 +19,7 @@ from eldenet.data.frame_store import FrameStore, make_stamp, slot_size
 from eldenet.system.errors import DiskError, writing
 from eldenet.types import Frame
 
-#: Stored depth of rooms is a multiple of this [m]: two bytes would do, and reach 13.1 m.
+#: Stored depth of rooms and arenas is a multiple of this [m]. Steps fit into 16 bits: up to 13.1 m.
 DEPTH_STEP = 0.0002
 #: Frames of each scene.
 VIEWS = 8
@@ -41,7 +41,7 @@ class Generator(NamedTuple):
     # frames by it
     digests: Mapping[tuple[int, int], str]
     depth_step: float = DEPTH_STEP  # stored depth is a multiple of this [m]
-    # keywords that the renderer is given: detail, near, down, plain, focal, in this order
+    # keywords for the renderer: detail, near, down, plain, focal; their order is that of the folder's name
     options: Mapping[str, Any] = MappingProxyType({})
 
     @property
@@ -155,7 +155,7 @@ def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable
     try:
         for job in jobs:
             process = subprocess.Popen(
-                [sys.executable, "-m", "eldenet.data.rendering"],
+                [sys.executable, "-m", "eldenet.data.scene_store"],
                 stdin=subprocess.PIPE, stdout=report, text=True, env=env,
                 start_new_session=True,  # a terminal's Ctrl-C is for this process, which ends them
             )  # fmt: skip

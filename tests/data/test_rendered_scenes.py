@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from eldenet.data import rendered
+from eldenet.data import rendered_scenes
 from eldenet.data.arenas import Arenas
-from eldenet.data.rendering import DEPTH_STEP, SceneStore, encode_depth, render_missing
 from eldenet.data.rooms import Rooms
+from eldenet.data.scene_store import DEPTH_STEP, SceneStore, encode_depth, render_missing
 from eldenet.data.streets import Streets
 from eldenet.simulation.furnished_rooms.render import render_room
 from eldenet.simulation.rendering.materials import Materials
@@ -36,7 +36,9 @@ def dataset(cache: Path) -> Rooms:
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
     """The scenes that each data set asks to render."""
     found: list[list[int]] = []
-    monkeypatch.setattr(rendered, "render_missing", lambda *arguments: found.append(list(arguments[3])))
+    monkeypatch.setattr(
+        rendered_scenes, "render_missing", lambda *arguments: found.append(list(arguments[3]))
+    )
     return found
 
 
@@ -237,7 +239,7 @@ def test_every_version_and_size_has_a_folder_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "heavy"), [("rooms", ("mujoco", "cv2")), ("rendering", ("torch", "mujoco", "cv2"))]
+    ("module", "heavy"), [("rooms", ("mujoco", "cv2")), ("scene_store", ("torch", "mujoco", "cv2"))]
 )
 def test_reading_loads_no_renderer_and_a_render_process_no_torch(module: str, heavy: tuple[str, ...]) -> None:
     code = f"import sys, eldenet.data.{module}; assert not {set(heavy)} & set(sys.modules)"

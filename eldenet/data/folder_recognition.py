@@ -20,7 +20,7 @@ from eldenet.data.inspection import PLAUSIBLE, inverse_doubt, is_farther_below
 from eldenet.data.io import ENCODINGS, IMAGE_ENDINGS, is_turned, read_image, read_raw_depth
 from eldenet.data.known_layouts import KNOWN_LAYOUTS
 from eldenet.data.paths import files_below
-from eldenet.data.recordings import DEPTH_ENDINGS, Layout, RecordedFrame
+from eldenet.data.recording_layout import DEPTH_ENDINGS, Layout, RecordedFrame
 from eldenet.data.splits import evenly_spaced
 from eldenet.geometry import same_aspect, size_of_aspect
 

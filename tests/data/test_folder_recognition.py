@@ -12,9 +12,9 @@ from support.recordings import COUNT, RECORDERS, SIZE
 from eldenet.check_data import CheckDataSettings, check_data, recognize_folder
 from eldenet.compose import compose
 from eldenet.configurable import instantiate
+from eldenet.data.folder_recognition import recognize
 from eldenet.data.inspection import inverse_doubts
 from eldenet.data.known_layouts import KNOWN_LAYOUTS
-from eldenet.data.recognition import recognize
 
 KNOWN = {
     "nyu_mat": layouts.mat,
