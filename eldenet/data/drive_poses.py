@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ class Mount(NamedTuple):
 
     height: float | None = None  # of the optical center above the floor [m]; None: not known
     pitch: float = 0.0  # of the optical axis below the horizon [rad]
-    ahead: float = 0.0  # of the optical center before the point whose pose odometry gives [m]
+    ahead: float = 0.0  # how far the optical center lies before the point whose pose odometry gives [m]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,9 @@ class DrivePoses:
     cameras: np.ndarray  # (N, 4, 4) camera to world [m]
     seconds: np.ndarray | None  # (N,) when [s], or None
     names: tuple[str, ...] | None  # of the pictures, or None
-    mount: Mount | None  # on a robot; z is 0 at the floor, or the camera; None: the world is any
+    # on a robot whose base the rows are of: z is 0 at the floor, or at the camera if its height is unknown;
+    # None: the rows are the camera's own, in any world
+    mount: Mount | None
 
     def of_pictures(self, paths: Sequence[Path]) -> list[np.ndarray | None]:
         """Return the pose ``(4, 4)`` of each picture, by name if the file has names, else by order.
@@ -107,8 +109,9 @@ def read_poses(path: Path, mount: Mount = Mount()) -> DrivePoses:  # noqa: B008 
             the camera does not drive.
     """
     text = read_text(path, "give a CSV file of poses")
-    lines = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if lines and all(len(line) == len(TUM) for line in lines):
+    lines = {number: line.split() for number, line in enumerate(text.splitlines(), 1) if line[:1] != "#"}
+    lines = {number: words for number, words in lines.items() if words}
+    if lines and all(len(words) == len(TUM) for words in lines.values()):
         return _tum_poses(path, lines, mount)
     header = text.partition("\n")[0].strip()
     columns = [name.strip() for name in header.split(",")]
@@ -123,7 +126,7 @@ def read_poses(path: Path, mount: Mount = Mount()) -> DrivePoses:  # noqa: B008 
     table = read_table(path, numbers)
     if len(table) < 2:
         raise ValueError(f"{path} has {len(table)} poses: give one for each picture, or for each 0.1 s")
-    values = _values(path, [[row[name] for name in numbers] for row in table], numbers, first=2)
+    values = _values(path, {n: [row[name] for name in numbers] for n, row in enumerate(table, 2)}, numbers)
     seconds = values[:, -1] if with_times else None
     if seconds is not None:
         _check_order(path, seconds)
@@ -142,12 +145,12 @@ def read_poses(path: Path, mount: Mount = Mount()) -> DrivePoses:  # noqa: B008 
     return DrivePoses(path, cameras, seconds, names, mount if of_base else None)
 
 
-def _tum_poses(path: Path, lines: list[list[str]], mount: Mount) -> DrivePoses:
-    """Camera to world from lines of a time, a place and a quaternion (x, y, z, w)."""
+def _tum_poses(path: Path, lines: Mapping[int, Sequence[str]], mount: Mount) -> DrivePoses:
+    """Camera to world from numbered lines of a time, a place and a quaternion (x, y, z, w)."""
     from scipy.spatial.transform import Rotation
 
     _refuse_mount(path, mount)
-    values = _values(path, lines, TUM, first=1)
+    values = _values(path, lines, TUM)
     if np.abs(np.linalg.norm(values[:, 4:], axis=1) - 1).max() > 0.01:
         raise ValueError(f"{path}: qx, qy, qz, qw are no unit quaternions: give time tx ty tz qx qy qz qw")
     _check_order(path, values[:, 0])
@@ -170,23 +173,23 @@ def _check_order(path: Path, seconds: np.ndarray) -> None:
         )
 
 
-def _values(path: Path, rows: Sequence[Sequence[str]], columns: Sequence[str], first: int) -> np.ndarray:
-    """Numbers ``(rows, columns)``; the file's line ``first`` is the first row."""
+def _values(path: Path, rows: Mapping[int, Sequence[str]], columns: Sequence[str]) -> np.ndarray:
+    """Numbers ``(rows, columns)`` of the cells of rows, by their line in the file."""
     values = np.full((len(rows), len(columns)), math.nan)
-    for line, row in enumerate(rows):
-        for place, text in enumerate(row):
+    for row, (line, cells) in enumerate(rows.items()):
+        for column, text in enumerate(cells):
             with suppress(ValueError):
-                values[line, place] = float(text)
-            if not math.isfinite(values[line, place]):
+                values[row, column] = float(text)
+            if not math.isfinite(values[row, column]):
                 raise ValueError(
-                    f"{path}, line {line + first}: {columns[place]} is {text[:40]!r}: give a finite number, "
-                    "or no such row"
+                    f"{path}, line {line}: {columns[column]} is {text[:40]!r}: give a finite number, or no "
+                    "such row"
                 )
     return values
 
 
 def _on_robot(pose: np.ndarray, mount: Mount) -> np.ndarray:
-    """The camera ``(4, 4)`` of a robot at x, y [m], heading [rad]."""
+    """The camera's pose ``(4, 4)`` on a robot whose base is at x, y [m], heading [rad]."""
     x, y, heading = pose
     c, s = math.cos(heading), math.sin(heading)
     camera = np.eye(4)

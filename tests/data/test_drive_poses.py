@@ -92,6 +92,11 @@ def test_poses_of_slam_in_tum_s_format_are_those_of_their_matrices(tmp_path):
     path.write_text("\n".join(line.replace(turned, "1 1 1 1") for line in lines))
     with pytest.raises(ValueError, match="no unit quaternions"):
         read_poses(path)
+    path.write_text(
+        "\n".join(["# timestamp tx ty tz qx qy qz qw", "", *lines[:3], f"lost 0.8 0 1.5 {turned}"])
+    )
+    with pytest.raises(ValueError, match=r"line 6: seconds is 'lost'"):
+        read_poses(path)
 
 
 def test_rows_without_names_are_one_for_each_picture(tmp_path):
