@@ -17,13 +17,13 @@ MOST_CHANNELS = 4  # for each of these pixels
 
 
 def check_pixels(shape: Sequence[int], source: object) -> None:
-    """Refuse a picture or array ``(H, W)``, ``(H, W, C)`` or ``(C, H, W)`` by what its header says.
+    """Refuse a picture or array ``(H, W)``, ``(H, W, C)`` or ``(C, H, W)`` by the shape in its header.
 
     A file of 1 MB may hold a picture of several GB: the limit is 100 million pixels, or
-    ``$ELDENET_MAX_PIXELS``.
+    ``$ELDENET_MAX_PIXELS``, and four channels of so many.
 
     Raises:
-        ValueError: there are more pixels than that, or the variable is not a number.
+        ValueError: there are more pixels or channels than that, or the variable is not a number.
     """
     given = os.environ.get(PIXEL_VARIABLE) or str(MOST_PIXELS)
     if not given.isdecimal():
@@ -98,8 +98,6 @@ def read_pfm(path: Path) -> np.ndarray:
 
 def read_exr(path: Path) -> np.ndarray:
     """Read the one channel of an OpenEXR file, or any of several equal ones (gray), ``(H, W)``.
-
-    OpenCV's wheels do not include OpenEXR, so this needs the package of that name.
 
     Raises:
         FileNotFoundError: there is no such file.

@@ -34,13 +34,16 @@ class Bag:
     Args:
         path: of the bag.
         topic: of the pictures; None: the only one with colors.
-        intrinsics: fx, fy, cx, cy of the pictures [px]; None: those of their ``CameraInfo``. Pictures of a
-            lens that bends straight lines are then straightened, unless ``rect`` in their topic says that
-            they are.
+        intrinsics: fx, fy, cx, cy of the pictures [px]; None: those of their ``CameraInfo``, by which
+            pictures of a lens that bends straight lines are straightened. Pictures whose topic ends in a
+            name with ``rect`` are straight already.
+
+    Attributes:
+        pictures: how many there are.
 
     Raises:
         FileNotFoundError: there is no such bag.
-        ValueError: it cannot be read, has no such topic or several, or a lens that is none.
+        ValueError: it cannot be read, has no such topic or several, or states a lens that no camera has.
     """
 
     def __init__(self, path: Path, topic: str | None = None, intrinsics: Any = None) -> None:
@@ -55,10 +58,10 @@ class Bag:
         if topic is None and len(pictures) > 1:
             pictures = [each for each in pictures if self._has_colors(each)] or pictures
             pictures = [each for each in pictures if _raw(each) == each or _raw(each) not in pictures]
-        self._pictures = self._chosen("pictures", pictures, topic, "topic")
-        self.pictures = counts[self._pictures]  # how many there are
+        self._topic = self._chosen("pictures", pictures, topic, "topic")
+        self.pictures = counts[self._topic]
         self._straighten: Callable[[np.ndarray], np.ndarray] = lambda picture: picture
-        self._lens = self._read_lens() if intrinsics is None else intrinsic_matrix(intrinsics)
+        self._lens = self._learn_lens() if intrinsics is None else intrinsic_matrix(intrinsics)
 
     @property
     def knows_lens(self) -> bool:
@@ -74,7 +77,7 @@ class Bag:
         """
         if self._lens is None:
             raise ValueError(
-                f"{self.path} needs a CameraInfo of a calibrated camera beside {self._pictures}, and has "
+                f"{self.path} needs a CameraInfo of a calibrated camera beside {self._topic}, and has "
                 f"{', '.join(self._topics(LENS)) or 'none'}: give intrinsics=[fx,fy,cx,cy] [px] or fov="
             )
         return four_numbers(self._lens)
@@ -122,13 +125,13 @@ class Bag:
                 yield seconds(message.header.stamp) or nanoseconds * 1e-9, message
 
     def frames(self) -> Iterator[tuple[np.ndarray, float]]:
-        """Yield the pictures ``(H, W, 3)`` uint8 RGB with their times [s], in the order of time.
+        """Yield the pictures ``(H, W, 3)`` uint8 RGB with their times [s]; none goes back in time.
 
         Raises:
             ValueError: a picture cannot be read.
         """
         latest = -np.inf
-        for time, message in self._messages(self._pictures):
+        for time, message in self._messages(self._topic):
             if time > latest:
                 latest = time
                 yield self._straighten(self._picture(message)), time
@@ -137,22 +140,22 @@ class Bag:
         import cv2
 
         try:
-            if self._kinds[self._pictures] == IMAGE:
+            if self._kinds[self._topic] == IMAGE:
                 return read_color(message)
             picture, fault = decode_picture(bytes(message.data), cv2.IMREAD_COLOR)
             if picture is None or fault:
                 raise ValueError(f"a picture in the format {message.format!r} cannot be decoded {fault}")
         except ValueError as error:
-            raise ValueError(f"{self.path}, {self._pictures}: {error}") from error
+            raise ValueError(f"{self.path}, {self._topic}: {error}") from error
         return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
-    def _read_lens(self) -> np.ndarray | None:
-        """Intrinsics ``(3, 3)`` [px] of straightened pictures; None if the bag does not know them."""
-        folder, _, name = _raw(self._pictures).rpartition("/")
+    def _learn_lens(self) -> np.ndarray | None:
+        """Intrinsics ``(3, 3)`` [px] of the pictures, straightened from here on; None: not known."""
+        folder, _, name = _raw(self._topic).rpartition("/")
         known, beside = self._topics(LENS), f"{folder}/camera_info"
         chosen = [beside] if beside in known else known
         info = next(self._messages(chosen[0]), None) if len(chosen) == 1 else None
-        first = next(self._messages(self._pictures), None)
+        first = next(self._messages(self._topic), None)
         if info is None or first is None:
             return None
         # ROS 1 has K, D and P

@@ -1,6 +1,6 @@
 """Read images and depth maps from disk: a damaged file or a wrong unit is an error that names the file.
 
-A new encoding is one row in ``ENCODINGS``; a new file format is one row in ``picture_decoding.FORMATS``.
+A new encoding is one row in ``ENCODINGS``; ``picture_decoding`` says what a new format of pictures takes.
 """
 
 from collections.abc import Callable, Mapping
@@ -91,7 +91,7 @@ Encoding = str | Mapping[str, object] | DepthEncoding
 
 
 def depth_encoding(encoding: Encoding) -> DepthEncoding:
-    """Look up an encoding by name, or build one from ``{scale, offset, dtype}``.
+    """Look up an encoding by name, or build one from ``{scale: meters per step, offset: steps, dtype}``.
 
     Raises:
         ValueError: the name or a key does not exist, or a value is out of its range.
@@ -124,7 +124,7 @@ def read_image(path: str | Path, *, upright: bool = False, gray: bool = True) ->
     """Read a picture as uint8 RGB, ``(H, W, 3)``.
 
     Args:
-        path: a JPEG, PNG, BMP, TIFF, HEIC or binary PPM/PGM file; recognized by content, not by its ending.
+        path: a JPEG, PNG, BMP, TIFF, WebP, HEIC or binary PPM/PGM file; its content decides, not its ending.
         upright: rotate a photo as its EXIF tag says. False for data sets, whose depth is not rotated either.
         gray: whether a gray picture is allowed; in a data set in color it is probably a depth map.
 

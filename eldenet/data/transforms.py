@@ -1,4 +1,4 @@
-"""Augmentation of a camera frame: the only file that knows albumentations."""
+"""Augmentation of a camera frame: the only file that imports albumentations."""
 
 import random
 from collections.abc import Sequence
