@@ -196,8 +196,7 @@ class FolderDataset(FileDataset):
         image, depth = read_image(image_file), read_depth(depth_file, self.encoding)
         for file in rest:
             confidence = read_raw_depth(file)
-            if confidence.shape != depth.shape:
-                check_pair(depth.shape, depth_file, confidence.shape, file)
+            check_pair(depth.shape, depth_file, confidence.shape, file)
             depth = np.where(confidence >= self.min_confidence, depth, np.float32(0))
         depth = np.ascontiguousarray(np.rot90(depth, -self.rotate_depth // 90))
         shapes = image.shape[:2], depth.shape

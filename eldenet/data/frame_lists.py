@@ -52,13 +52,11 @@ def read_frame_list(path: Path, *, allow_outside: bool, tolerance: float) -> lis
         elif _is_association(text):
             frames = _associations(path, text, tolerance)
         else:
-            pairs = csv_pairs(path, allow_outside=allow_outside)
-            return [ListedFrame(image, depth) for image, depth in pairs]
+            frames = [ListedFrame(image, depth) for image, depth in csv_pairs(path)]
     if not frames:
         raise ValueError(f"{path} lists no frames: fetch or write it again")
     if not allow_outside:
-        files = [(frame.image, frame.depth) for frame in frames]
-        files += [(frame.confidence, frame.confidence) for frame in frames if frame.confidence]
+        files = [file for one in frames for file in (one.image, one.depth, one.confidence) if file]
         setting = "set data.allow_outside=true if you trust the list"
         check_inside(files, path, f"write the list with paths below that folder, or {setting}")
     return frames

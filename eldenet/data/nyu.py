@@ -6,6 +6,7 @@ is 795 training and 654 test frames of the 1,449 labeled ones. Which ground trut
 """
 
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Unpack
 
@@ -45,7 +46,7 @@ class _NYUPairs(FileDataset):
         pairs: Sequence[tuple[str, str]],
         split: str,
         encoding: Encoding,
-        prefix: str = "",
+        prefix: str = "",  # of pictures, which is left out of the frames' names
         **options: Unpack[SampleOptions],
     ) -> None:
         self.encoding = depth_encoding(encoding)
@@ -86,7 +87,7 @@ class NYUDenseDepth(_NYUPairs):
 
     Raises:
         FileNotFoundError: files are missing.
-        ValueError: the split is unknown, or a line of the CSV is not a pair.
+        ValueError: the split is unknown, or a line of the CSV is not a pair or leaves the folder.
     """
 
     ground_truth = "inpainted"
@@ -104,7 +105,8 @@ class NYUDenseDepth(_NYUPairs):
         table = f"data/nyu2_{part}.csv"
         folder = find_root(root, "nyu_depth_v2/densedepth", [table], DENSEDEPTH_TREE)
         encoding = encoding or {"train": "nyu8", "test": "mm"}[part]
-        super().__init__(folder, csv_pairs(folder / table), split, encoding, f"data/nyu2_{part}/", **options)
+        pairs = _inside(csv_pairs(folder / table), folder / table)
+        super().__init__(folder, pairs, split, encoding, f"data/nyu2_{part}/", **options)
 
 
 class NYULabelled(_NYUPairs):
@@ -113,14 +115,16 @@ class NYULabelled(_NYUPairs):
     Args:
         root: the folder with ``data/``; None for ``$ELDENET_DATA/nyu_depth_v2/labeled``. The file names are
             the frame numbers of the labeled .mat (1-based).
-        split: "train" or "val", which share no scene (see ``VAL_FRAMES``), or "all" for the 795; "fit" or
-            "dev", parts of "train" that share no scene either, for choosing a recipe before "val" scores it.
+        split: "train" or "val", which share no scene (``VAL_FRAMES`` in ``nyu_scenes.py``), or "all" for the
+            795; "fit" or "dev", parts of "train" that share no scene either, for choosing a recipe before
+            "val" scores it.
         encoding: of the depth files.
         **options: see :class:`~eldenet.data.base.DepthDataset`; depth range 1e-3 to 10 m unless given.
 
     Raises:
         FileNotFoundError: files are missing.
-        ValueError: the split is unknown, or a file name is not a frame number.
+        ValueError: the split is unknown, a line of the CSV is not a pair or leaves the folder, or a
+            file name is not a frame number.
     """
 
     ground_truth = "inpainted"
@@ -136,7 +140,7 @@ class NYULabelled(_NYUPairs):
         one_of("split", split, tuple(LABELED_SPLITS))
         table = "data/nyu2_train.csv"
         folder = find_root(root, "nyu_depth_v2/labeled", [table], DENSEDEPTH_TREE)
-        pairs = csv_pairs(folder / table)
+        pairs = _inside(csv_pairs(folder / table), folder / table)
         pairs = [pair for pair in pairs if labeled_part(_frame_number(pair[0])) in LABELED_SPLITS[split]]
         super().__init__(folder, pairs, "all", encoding, "data/nyu2_train/", **options)
 
@@ -163,7 +167,7 @@ class NYUSync(_NYUPairs):
 
     Raises:
         FileNotFoundError: files are missing, or a picture has no depth.
-        ValueError: a line of the list is not a pair.
+        ValueError: the split is unknown, or a line of the list is not a pair or leaves the folder.
     """
 
     ground_truth = "raw"
@@ -210,7 +214,12 @@ def _list_pairs(list_file: Path) -> list[tuple[str, str]]:
         pairs.append((cells[0].lstrip("/"), cells[1].lstrip("/")))
     if not pairs:
         raise ValueError(f"{list_file} is empty: set list_file to a list of frames")
-    check_inside(pairs, list_file, "write the list with paths below that folder")
+    return _inside(pairs, list_file)
+
+
+def _inside(pairs: list[tuple[str, str]], source: Path) -> list[tuple[str, str]]:
+    """Return the pairs of a list, all of whose files lie in the data set's folder."""
+    check_inside(chain.from_iterable(pairs), source, "write the list with paths below that folder")
     return pairs
 
 

@@ -165,21 +165,19 @@ def check_files(root: Path, files: Sequence[str], advice: str = "") -> None:
         )
 
 
-def check_inside(pairs: Sequence[tuple[str, str]], source: Path, advice: str) -> None:
-    """Raise ValueError, with ``advice``, for a list of files that leaves the data set's folder (``../``)."""
-    for file in (file for pair in pairs for file in pair):
+def check_inside(files: Iterable[str], source: Path, advice: str) -> None:
+    """Raise ValueError, with ``advice``, if a file of a list leaves the data set's folder (``../``)."""
+    for file in files:
         if os.path.isabs(file) or os.path.normpath(file).split(os.sep)[0] == os.pardir:
             raise ValueError(f"{source}: {file[:200]!r} is outside the data set's folder: {advice}")
 
 
-def csv_pairs(table: Path, *, allow_outside: bool | None = None) -> list[tuple[str, str]]:
+def csv_pairs(table: Path) -> list[tuple[str, str]]:
     """Read lines ``image,depth`` of a CSV without a header; empty lines are skipped.
-
-    ``allow_outside``: whether files may lie outside the data set's folder; None: no, and no setting says it.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: a line is not a pair or leaves the folder, or the file is empty or not text.
+        ValueError: a line is not a pair, or the file is empty or not text.
     """
     pairs = []
     text = read_text(table, "fetch or write the list of frames again")
@@ -193,7 +191,4 @@ def csv_pairs(table: Path, *, allow_outside: bool | None = None) -> list[tuple[s
         pairs.append((row[0].strip(), row[1].strip()))
     if not pairs:
         raise ValueError(f"{table} is empty: fetch or write the list of frames again")
-    if not allow_outside:
-        setting = "" if allow_outside is None else ", or set data.allow_outside=true if you trust the list"
-        check_inside(pairs, table, f"write the list with paths below that folder{setting}")
     return pairs
