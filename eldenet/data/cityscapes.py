@@ -118,7 +118,7 @@ class Cityscapes(FileDataset):
         image_file, disparity_file, camera_file, *label_file = self.frame_files(index)
         image, disparity = read_image(image_file, gray=False), read_depth(disparity_file, DISPARITY)
         check_pair(image.shape, image_file, disparity.shape, disparity_file)
-        intrinsics, baseline = read_camera(camera_file)
+        intrinsics, baseline = read_stereo_camera(camera_file)
         depth = disparity_to_depth(disparity, intrinsics[0, 0], baseline)
         intrinsics = resize_intrinsics(intrinsics, CITYSCAPES_SIZE, (image.shape[0], image.shape[1]))
         labels = read_label_ids(label_file[0]) if label_file else None
@@ -127,7 +127,7 @@ class Cityscapes(FileDataset):
         return Frame(image, depth, intrinsics, self.names[index], labels)
 
 
-def read_camera(path: Path) -> tuple[np.ndarray, float]:
+def read_stereo_camera(path: Path) -> tuple[np.ndarray, float]:
     """Return intrinsics ``(3, 3)`` [px at 2048 x 1024] and baseline [m] of a ``*_camera.json``.
 
     Raises:

@@ -11,7 +11,7 @@ from eldenet.data.camera_files import Camera, read_camera
 from eldenet.data.frame_lists import stated_scale
 from eldenet.data.io import Encoding, depth_encoding, is_turned, read_depth, read_image, read_raw_depth
 from eldenet.data.paths import composed, find_root, natural_order
-from eldenet.data.recording_layout import Layout, RecordedFrame
+from eldenet.data.recording_layout import TOLERANCE, Layout, RecordedFrame
 from eldenet.data.splits import val_blocks, val_scenes
 from eldenet.geometry import resample_depth, resize_sparse, same_aspect
 from eldenet.system.checks import one_of
@@ -84,7 +84,7 @@ class FolderDataset(FileDataset):
         confidence: str | None = None,
         min_confidence: int = 1,
         pair_by: str | None = None,
-        tolerance: float = 0.02,
+        tolerance: float = TOLERANCE,
         rotate_depth: int = 0,
         encoding: Encoding = "mm",
         intrinsics: Sequence[Any] | Mapping[str, Any] | str | None = None,

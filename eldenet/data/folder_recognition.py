@@ -1,4 +1,4 @@
-"""What a folder seems to be, and the settings that read it; all of them where several are possible."""
+"""What a folder of pictures and depth seems to be, and each group of settings that may read it."""
 
 import math
 import re
@@ -14,24 +14,23 @@ import numpy as np
 
 from eldenet.data.camera_files import CAMERA_ENDINGS, Camera, read_camera
 from eldenet.data.folder import PARTS, FolderDataset, named_parts
-from eldenet.data.frame_files import Key, find_frame_files, other_ways, partners
+from eldenet.data.frame_files import Key, find_frame_files, frames_by_pairing, partners
 from eldenet.data.frame_lists import read_frame_list, stated_scale
 from eldenet.data.inspection import PLAUSIBLE, inverse_doubt, is_farther_below
 from eldenet.data.io import ENCODINGS, IMAGE_ENDINGS, is_turned, read_image, read_raw_depth
 from eldenet.data.known_layouts import KNOWN_LAYOUTS
 from eldenet.data.paths import files_below
-from eldenet.data.recording_layout import DEPTH_ENDINGS, Layout, RecordedFrame
+from eldenet.data.recording_layout import DEPTH_ENDINGS, TOLERANCE, Layout, RecordedFrame
 from eldenet.data.splits import evenly_spaced
 from eldenet.geometry import same_aspect, size_of_aspect
 
 MOST_FILES = 200_000  # below a folder that are looked at
 MOST_CAMERAS = 20  # files beside the frames that are read as a camera
-SAMPLES = 8  # depth maps whose numbers are looked at
+SAMPLES = 8  # frames whose pictures and depth maps are looked at
 INPUT_SIZE, MAX_DEPTH = (240, 320), 10.0  # of data=folder
-TOLERANCE = 0.02  # of data=folder [s]
 SPARSE_SHARE = 0.2  # of the pixels: points of a LiDAR rather than a depth camera's map
 _DIGITS = re.compile(r"\d+(?:\.\d+)?")
-_MANY = 2  # files that make a series
+_SERIES = 2  # so many files are one
 
 
 class Reading(NamedTuple):
@@ -57,11 +56,11 @@ class Recognized:
 
 
 class _Series(NamedTuple):
-    """Files of one kind: the folder or pattern that finds them."""
+    """Files of one kind in one folder or pattern."""
 
-    place: str
+    place: str  # the setting that finds them
     kind: str  # picture, depth, confidence or camera
-    first: str
+    first: str  # of the files
 
 
 def recognize(folder: Path) -> list[Recognized]:
@@ -87,6 +86,7 @@ def _known(folder: Path) -> list[Recognized]:
 
 
 def _recordings(folder: Path) -> list[Recognized]:
+    """The recordings that a folder may be: one for each set of pairs that a list or a pairing finds."""
     visible = (path for path in files_below(folder) if path.is_file())
     files = sorted(path.relative_to(folder).as_posix() for path in islice(visible, MOST_FILES))
     series = _series(folder, files)
@@ -95,9 +95,8 @@ def _recordings(folder: Path) -> list[Recognized]:
         return [Recognized("files that are not read as they are", refused)]
     found: dict[frozenset[tuple[str, ...]], Recognized] = {}
     for title, settings in candidates:
-        layout = Layout(**settings, tolerance=TOLERANCE)
         try:
-            frames = list(layout.frames(folder, strict=False).values())
+            frames = list(Layout(**settings).frames(folder, strict=False).values())
         except (ValueError, OSError) as error:
             found[frozenset({(title,)})] = Recognized(f"a recording: {title}", [f"not read so yet: {error}"])
             continue
@@ -158,7 +157,7 @@ def _series(folder: Path, files: Sequence[str]) -> list[_Series]:
     single = Counter(parent for (parent, _), members in groups.items() if len(members) == 1)
     merged: dict[tuple[str, str], list[str]] = {}
     for (parent, template), members in groups.items():
-        if single[parent] >= _MANY and len(members) == 1:  # names without numbers: a.jpg, b.jpg
+        if single[parent] >= _SERIES and len(members) == 1:  # names without numbers: a.jpg, b.jpg
             template = f"*{Path(template).suffix}"
         merged.setdefault((parent, template), []).extend(members)
     kinds = {group: _kind(folder, members[len(members) // 2]) for group, members in merged.items()}
@@ -171,7 +170,7 @@ def _series(folder: Path, files: Sequence[str]) -> list[_Series]:
     return [
         _Series(place, kind, members[0])
         for (place, kind), members in found.items()
-        if len(members) >= _MANY or kind in ("picture", "depth")
+        if len(members) >= _SERIES or kind in ("picture", "depth")
     ]
 
 
@@ -189,17 +188,17 @@ def _place(parent: str, template: str, kinds: Mapping[tuple[str, str], str]) -> 
     alone = parent and all(kinds[group] == kind for group in read)
     parts = parent.split("/")
     folders = [one.split("/") for (one, _), other in kinds.items() if other == kind]
-    folders = [names for names in folders if len(names) == len(parts)]
     for place in range(len(parts)):
         pattern = [*parts[:place], "*", *parts[place + 1 :]]
         others = {
             names[place].lower()
             for names in folders
-            if all(part in (name, "*") for name, part in zip(names, pattern, strict=True))
+            if len(names) == len(parts)
+            and all(part in (name, "*") for name, part in zip(names, pattern, strict=True))
         }
         is_last = place == len(parts) - 1
         are_parts = others <= PARTS.keys()
-        if len(others) >= _MANY and (are_parts or not is_last or not alone):  # rgb and depth are no scenes
+        if len(others) >= _SERIES and (are_parts or not is_last or not alone):  # rgb and depth are no scenes
             parts[place] = "*"
             if not are_parts:
                 break
@@ -238,17 +237,17 @@ def _is_camera(path: Path) -> bool:
 
 
 def _pairs(folder: Path, series: Sequence[_Series]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Series of pictures and of depth maps that fit together, with the settings that pair them."""
+    """Series of pictures and of depth maps that pair, by name or else in any way, with their settings."""
     ways = {}
     colored_first = sorted(_of("picture", series), key=lambda one: _is_gray(folder / one.first))
     for pictures, maps in product(colored_first, _of("depth", series)):
         ones, others = _keys(folder, pictures), _keys(folder, maps)
-        found = other_ways(ones, others, TOLERANCE)
+        found = frames_by_pairing(ones, others, TOLERANCE)
         least = min(len(ones), len(others)) / 2
         ways[pictures.place, maps.place] = {
             by: count
             for by, count in found.items()
-            if count >= max(least, 1 if by == "name" else _MANY)  # one file each pair by name alone
+            if count >= max(least, 1 if by == "name" else _SERIES)  # one file each pair by name alone
         }
     by_name = {places for places, found in ways.items() if "name" in found}
     for (images, depths), found in ways.items():
@@ -338,7 +337,7 @@ def _describe(
     if known and stated is None:
         found.facts.append(
             "unit: guessed from the numbers; where a distance that you know disagrees, give another, such as "
-            f"'data.encoding={{scale: 0.01, dtype: {_kind_of(raw)}}}' (centimeters)"
+            f"'data.encoding={{scale: 0.01, dtype: {_encoding_dtype(raw)}}}' (centimeters)"
         )
     farther = Counter(is_farther_below(one) for one in raws)
     if line := inverse_doubt(farther[True], farther[False]):
@@ -371,7 +370,7 @@ def _samples(
 
 
 def _refusal(folder: Path, settings: Mapping[str, Any]) -> list[str]:
-    """What the reader says against the settings at the first frame; nothing if it reads it."""
+    """Why the settings do not read the first frame; nothing if they do."""
     given = {key: settings[key] for key in settings.keys() - {"data", "root", "input_size", "test_split"}}
     try:
         FolderDataset(folder, on_error="skip", **{"max_depth": MAX_DEPTH, **given}).load_frame(0)
@@ -404,15 +403,16 @@ def _unpaired(folder: Path, settings: Mapping[str, Any], frames: Sequence[Record
 def _confidence(
     folder: Path, frames: Sequence[RecordedFrame], series: Sequence[_Series], facts: list[str]
 ) -> dict[str, Any]:
-    depths = {Path(frame.files[1]).stem for frame in frames} | {frame.key[-1] for frame in frames}
-    places = [one for one in _of("confidence", series) if {key[-1] for key in _keys(folder, one)} & depths]
-    if len(places) > 1:
-        facts.append(f"confidence maps in {', '.join(one.place for one in places)}: add data.confidence=")
-    if len(places) != 1:
+    """The one series of confidence maps named as the frames; several are told to choose from."""
+    names = {Path(frame.files[1]).stem for frame in frames} | {frame.key[-1] for frame in frames}
+    found = [one for one in _of("confidence", series) if {key[-1] for key in _keys(folder, one)} & names]
+    if len(found) > 1:
+        facts.append(f"confidence maps in {', '.join(one.place for one in found)}: add data.confidence=")
+    if len(found) != 1:
         return {}
-    values = np.unique(read_raw_depth(folder / places[0].first))
-    facts.append(f"confidence maps in {places[0].place}, {values.min()} to {values.max()}")
-    return {"confidence": places[0].place}
+    values = read_raw_depth(folder / found[0].first)
+    facts.append(f"confidence maps in {found[0].place}, {values.min()} to {values.max()}")
+    return {"confidence": found[0].place}
 
 
 def _lens(
@@ -422,35 +422,34 @@ def _lens(
     files: Sequence[str],
     facts: list[str],
 ) -> dict[str, Any]:
-    """The one file, or series of files, that hold the intrinsics; several are named, and none is chosen."""
+    """The one file, or series of files, that hold the intrinsics; several are told to choose from."""
     keys = [frame.key for frame in frames]
-    several = _of("camera", series)
-    places = [one.place for one in several if len(partners(keys, _keys(folder, one), "name", 0)) == len(keys)]
-    if not places:
+    first_files = {
+        one.place: one.first
+        for one in _of("camera", series)
+        if len(partners(keys, _keys(folder, one), "name", 0)) == len(keys)
+    }
+    if not first_files:
         beside = [file for file in files if file.count("/") <= 1 and Path(file).suffix in CAMERA_ENDINGS]
-        places = [file for file in beside[:MOST_CAMERAS] if _is_camera(folder / file)]
-    described = []
-    for place in places:
-        first = next(one.first for one in several if one.place == place) if place not in files else place
-        matrix = read_camera(folder / first).matrix
-        described.append(f"{place} (fx {matrix[0, 0]:.1f}, cx {matrix[0, 2]:.1f})")
-    if not places:
+        first_files = {file: file for file in beside[:MOST_CAMERAS] if _is_camera(folder / file)}
+    if not first_files:
         facts.append("lens: not found; give data.intrinsics=[fx,fy,cx,cy] if you know it")
         return {}
-    facts.append(
-        "lens: " + ", ".join(described) + ("" if len(places) == 1 else "; add one as data.intrinsics=")
-    )
-    return {"intrinsics": places[0]} if len(places) == 1 else {}
+    matrices = {place: read_camera(folder / file).matrix for place, file in first_files.items()}
+    described = [f"{place} (fx {m[0, 0]:.1f}, cx {m[0, 2]:.1f})" for place, m in matrices.items()]
+    choose = "; add one as data.intrinsics=" if len(described) > 1 else ""
+    facts.append(f"lens: {', '.join(described)}{choose}")
+    return {} if choose else {"intrinsics": next(iter(matrices))}
 
 
 def _known_numbers(raw: np.ndarray) -> np.ndarray:
     """The numbers ``(N,)`` that may be depth; the largest of 16 bits often says that it is unknown."""
-    most = np.float64(np.iinfo(np.uint16).max)  # beyond float16
+    most = np.float64(np.iinfo(np.uint16).max)  # in float16 it would be infinite
     return np.asarray(raw[np.isfinite(raw) & (raw > 0) & (raw != most)])
 
 
-def _kind_of(raw: np.ndarray) -> str:
-    """The type of the numbers, as an encoding names it."""
+def _encoding_dtype(raw: np.ndarray) -> str:
+    """The dtype of an encoding that such numbers may have."""
     return "float" if raw.dtype.kind == "f" else "uint8" if raw.dtype == np.uint8 else "uint16"
 
 
@@ -470,21 +469,24 @@ def _in_tiles(seen: tuple[int, int], most: tuple[int, int]) -> tuple[int, int]:
 
 
 def _units(raws: Sequence[np.ndarray], stated: float | None) -> list[tuple[str, dict[str, Any]]]:
-    """The encodings in which the median depth is plausible, with the median as a note."""
+    """Each encoding with a plausible median depth: a note of the median, and the settings of the encoding.
+
+    ``stated`` are the meters per step that a file states, if one does.
+    """
     values = np.concatenate([_known_numbers(raw) for raw in raws])
     if not values.size:
         return [("no depth above 0 in the files looked at", {})]
-    kind = _kind_of(values)
-    given: dict[str, Any] = {"scale": stated or 0.001, "dtype": kind}
+    dtype = _encoding_dtype(values)
+    given: dict[str, Any] = {"scale": stated or 0.001, "dtype": dtype}
     rows: list[tuple[Any, float]] = [(given, given["scale"])]
     if stated is None or np.isclose(stated, 0.001):
         named = [
-            row for row in ENCODINGS.values() if row.dtype == kind and row.decode is None and not row.offset
+            row for row in ENCODINGS.values() if row.dtype == dtype and row.decode is None and not row.offset
         ]
         rows = [(row.name, row.scale) for row in named if stated is None or np.isclose(row.scale, stated)]
         if stated is None and values.dtype == np.uint16 and not (values % 8).any():  # turned by three bits
             rows.append(("sunrgbd", ENCODINGS["sunrgbd"].scale / 8))
-        if kind == "float":
+        if dtype == "float":
             rows.append((given, 0.001))
     found: list[tuple[str, dict[str, Any]]] = []
     for encoding, scale in rows:

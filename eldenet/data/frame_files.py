@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from eldenet.data.io import HEIF_ENDINGS
 from eldenet.data.paths import as_on_disk, composed, natural_order, visible_files
 from eldenet.system.files import read_text
 
 Key = tuple[str, ...]
-"""What tells a file from the others of its kind: the scene's parts, if any, then its name or its time."""
+"""A file's scene, part by part, if any, and its name or time: no other file of its kind has the same."""
 PAIR_BY = ("name", "time", "order")
 # seconds, milliseconds, microseconds or nanoseconds since 1970: 2001 is above the first, 2286 below the next
 _EPOCHS = ((1e18, 1e9), (1e15, 1e6), (1e12, 1e3), (1e9, 1.0))
@@ -19,7 +20,7 @@ _WILDCARDS = re.compile(r"\*\*/|\*")
 
 
 def find_frame_files(root: Path, place: str, endings: Sequence[str]) -> dict[Key, str]:
-    """Return the files of one kind below ``root``, by what tells them apart.
+    """Return the files of one kind below ``root``, by their keys.
 
     Args:
         root: the data set's folder.
@@ -36,8 +37,8 @@ def find_frame_files(root: Path, place: str, endings: Sequence[str]) -> dict[Key
     fixed = place.split("*")[0].rpartition("/")[0] if "*" in place else place
     as_file, as_folder = _expressions(place.removeprefix("./").strip("/"))
     found: dict[Key, str] = {}
-    # HEIC beside the files of another kind is no picture that is passed over
-    shown = visible_files(root / fixed, (*endings, ".heic", ".heif"))
+    # no warning about HEIC pictures that lie beside the depth maps: they are read as pictures
+    shown = visible_files(root / fixed, (*endings, *HEIF_ENDINGS))
     below = len(root.parts)
     for parts in sorted(path.parts[below:] for path in shown if path.suffix.lower() in endings):
         file = "/".join(parts)
@@ -52,7 +53,7 @@ def find_frame_files(root: Path, place: str, endings: Sequence[str]) -> dict[Key
 
 
 def _expressions(place: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
-    """What a pattern says about the path of a file: it is the file, or the folder of it."""
+    """Expressions for the path of a file that a pattern names, and of one in a folder that it names."""
     ending = r"\.[^./]+" if place.endswith(".*") else ""
     place = place.removesuffix(".*") if ending else place
     parts, start = [], 0
@@ -189,8 +190,8 @@ def smallest_gap(ones: Sequence[Key], others: Sequence[Key]) -> float:
     return min(gaps)
 
 
-def other_ways(ones: Sequence[Key], others: Sequence[Key], tolerance: float) -> dict[str, int]:
-    """Return how many frames each way of pairing would find: "name", "time" or "order"."""
+def frames_by_pairing(ones: Sequence[Key], others: Sequence[Key], tolerance: float) -> dict[str, int]:
+    """Return how many frames pairing by "name", "time" and "order" would find, where it finds any."""
     found: dict[str, int] = {}
     for by in PAIR_BY:
         try:

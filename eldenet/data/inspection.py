@@ -277,7 +277,7 @@ def identities(dataset: DepthDataset) -> dict[str, str]:
     The key is the name and, if the adapter knows them, the files: two folders may use the same names.
     """
     if isinstance(dataset, Mix):
-        parts = [identities(source.frames) for source in dataset.sources.values()]
+        parts = [identities(source.dataset) for source in dataset.sources.values()]
         return {key: name for part in parts for key, name in part.items()}
     found = {}
     for index, name in enumerate(dataset.names):

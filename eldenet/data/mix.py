@@ -17,10 +17,9 @@ from eldenet.types import DepthSample, Frame
 class Source:
     """One data set of a mix."""
 
-    frames: DepthDataset
+    dataset: DepthDataset
     weight: float  # its share of the draws, relative to the other weights
-    # its depth is known up to a factor (and a shift) only: it counts in the loss terms with applies_to:
-    # relative and in no other
+    # depth is known up to a factor (and a shift) only: only loss terms with applies_to: relative count it
     relative: bool
 
 
@@ -48,9 +47,9 @@ class Mix(DepthDataset):
         self.sources = {name: source for name, source in built.items() if source is not None}
         if not self.sources:
             raise ValueError("no source has a weight above 0: give one to at least one of them")
-        parts = [source.frames for source in self.sources.values()]
+        parts = [source.dataset for source in self.sources.values()]
         super().__init__(
-            [f"{name}/{frame}" for name, source in self.sources.items() for frame in source.frames.names],
+            [f"{name}/{frame}" for name, source in self.sources.items() for frame in source.dataset.names],
             min_depth=min(part.min_depth for part in parts),
             max_depth=max(part.max_depth for part in parts),
             **{name: options[name] for name in ("input_size", "seed") if name in options},  # type: ignore[arg-type]
@@ -59,7 +58,7 @@ class Mix(DepthDataset):
         self.skipped = {
             f"{name}/{frame}": reason
             for name, source in self.sources.items()
-            for frame, reason in source.frames.skipped.items()
+            for frame, reason in source.dataset.skipped.items()
         }
         self._ends = np.cumsum([len(part) for part in parts])
         weights = np.array([source.weight for source in self.sources.values()])
@@ -72,10 +71,10 @@ class Mix(DepthDataset):
         epoch, index, *aspect = key if isinstance(key, tuple) else (0, key)
         generator = np.random.default_rng((self.seed, epoch, index))
         source = list(self.sources.values())[generator.choice(len(self._shares), p=self._shares)]
-        place = int(generator.integers(len(source.frames)))
+        place = int(generator.integers(len(source.dataset)))
         # one draw, one augmentation: a frame that an epoch draws twice is augmented in two ways
         draw = epoch * self.frames + index, place
-        sample = source.frames[(*draw, aspect[0]) if aspect else draw]
+        sample = source.dataset[(*draw, aspect[0]) if aspect else draw]
         sample["relative"] = torch.tensor(source.relative)
         return sample
 
@@ -97,15 +96,16 @@ class Mix(DepthDataset):
         return part.frame_files(place)
 
     def _place(self, index: int) -> tuple[DepthDataset, int]:
+        """The source of frame ``index`` of ``names``, and the frame's number there."""
         which = int(np.searchsorted(self._ends, index, side="right"))
-        part = list(self.sources.values())[which].frames
+        part = list(self.sources.values())[which].dataset
         return part, index - int(self._ends[which]) + len(part)
 
     def with_samples(self, make_sample: MakeSample) -> Self:
         """Return the same mix with other samples of its sources."""
         other = super().with_samples(make_sample)
         other.sources = {
-            name: replace(source, frames=source.frames.with_samples(make_sample))
+            name: replace(source, dataset=source.dataset.with_samples(make_sample))
             for name, source in self.sources.items()
         }
         return other
@@ -113,19 +113,20 @@ class Mix(DepthDataset):
     def open_cache(self) -> None:
         """Open the cache of every source."""
         for source in self.sources.values():
-            source.frames.open_cache()
+            source.dataset.open_cache()
 
     @property
     def split_hash(self) -> str:
         """Names the mix in reports: every source's split, weight and kind, and the draws of an epoch."""
         parts = [
-            f"{name} {source.frames.split_hash} {source.weight!r} {source.relative}"
+            f"{name} {source.dataset.split_hash} {source.weight!r} {source.relative}"
             for name, source in self.sources.items()
         ]
         return digest_of("\n".join([*parts, str(self.frames)]))[:16]
 
 
 def _source(name: str, given: Mapping[str, Any], options: SampleOptions) -> Source | None:
+    """Build a source without its unreadable frames, if they are to be skipped; None for one of weight 0."""
     unknown = set(given) - {"data", "weight", "relative"}
     if unknown or "data" not in given:
         raise ValueError(f"sources.{name}: give data, weight and relative, not {', '.join(sorted(given))}")
@@ -136,7 +137,7 @@ def _source(name: str, given: Mapping[str, Any], options: SampleOptions) -> Sour
         return None
     build: Callable[..., DepthDataset] = given["data"]
     own = getattr(build, "keywords", {})  # the source's own settings come first
-    frames = build(**{option: value for option, value in options.items() if own.get(option) is None})
-    if frames.on_error == "skip":
-        frames.leave_out_unreadable()
-    return Source(frames, weight, bool(given.get("relative", False)))
+    dataset = build(**{option: value for option, value in options.items() if own.get(option) is None})
+    if dataset.on_error == "skip":
+        dataset.leave_out_unreadable()
+    return Source(dataset, weight, bool(given.get("relative", False)))

@@ -11,9 +11,9 @@ from eldenet.data.frame_files import (
     Key,
     expected_file,
     find_frame_files,
+    frames_by_pairing,
     is_list,
     name_of,
-    other_ways,
     partners,
     smallest_gap,
 )
@@ -23,6 +23,7 @@ from eldenet.data.paths import as_on_disk, composed
 from eldenet.system.checks import one_of
 from eldenet.system.errors import some_of, warn_once
 
+TOLERANCE = 0.02  # of data.tolerance, unless given [s]
 DEPTH_ENDINGS = (".png", ".npy", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
 
 
@@ -45,7 +46,7 @@ class Layout:
     allow_outside: bool = False
     confidence: str | None = None
     pair_by: str | None = None
-    tolerance: float = 0.02
+    tolerance: float = TOLERANCE
     intrinsics: Sequence[Any] | Mapping[str, Any] | str | None = None
 
     def __post_init__(self) -> None:
@@ -76,9 +77,10 @@ class Layout:
         return None if self.intrinsics is None else given_camera(self.intrinsics)
 
     def frames(self, root: Path, *, strict: bool) -> dict[str, RecordedFrame]:
-        """Find all frames, by their names.
+        """Find all frames: name -> frame.
 
-        Without ``strict``, a missing file is listed as ``name.*``, for who leaves such frames out.
+        Where a file is missing, ``strict`` raises; else the frame has ``name.*`` in its place, a file that
+        does not exist, so :class:`~eldenet.data.base.FileDataset` leaves the frame out.
 
         Raises:
             FileNotFoundError: files are missing, or have no partner.
@@ -161,7 +163,7 @@ class Layout:
         if self.by == "time":
             gap = smallest_gap(ones, others)
             text += f" (the nearest are {gap:.3g} s apart, data.tolerance={self.tolerance:g})"
-        ways = other_ways(ones, others, self.tolerance)
+        ways = frames_by_pairing(ones, others, self.tolerance)
         named = [f"data.pair_by={by} finds {count} frames" for by, count in ways.items()]
         return f"{text}: " + (", ".join(named) or "list the pairs in a CSV (data.csv=...)")
 

@@ -105,7 +105,7 @@ def out_of_range(train_set: DepthDataset) -> Iterator[str]:
 def parts_in_meters(train_set: DepthDataset) -> list[DepthDataset]:
     """Return the data set, or the sources of a mix whose depth is in meters."""
     if isinstance(train_set, Mix):
-        return [source.frames for source in train_set.sources.values() if not source.relative]
+        return [source.dataset for source in train_set.sources.values() if not source.relative]
     return [train_set]
 
 

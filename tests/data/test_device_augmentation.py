@@ -110,7 +110,7 @@ def test_colors_change_alike(what, mean, monkeypatch):
 def test_a_mix_and_frames_without_augmentation_are_the_same():
     sources = {"walls": {"data": Walls}, "far": {"data": partial(Walls, min_depth=2.0)}}
     mix = Mix(sources, 12, transform=Augmentation(**GEOMETRY))
-    mix.sources["far"].frames.transform = None
+    mix.sources["far"].dataset.transform = None
     here, there = both(mix)
     assert share_that_differs(here, there, "depth") < MOST_THAT_DIFFER
     assert (here["image"] - there["image"]).abs().max() < MOST_GRAY / 255

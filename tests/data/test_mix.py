@@ -181,7 +181,7 @@ def test_the_log_counts_the_frames_that_a_source_left_out(tmp_path, monkeypatch,
     overrides = ["data=mix", "data.frames=500", "data.sources.rooms.weight=0"]
     config = compose(TrainSettings, [*overrides, "data.sources.nyu.data.on_error=skip"])
     whole = open_split(config.data, "train", chosen_protocol(config.data, config.protocol))
-    whole.sources["nyu"].frames.frame_files(0)[0].write_bytes(b"no picture")
+    whole.sources["nyu"].dataset.frame_files(0)[0].write_bytes(b"no picture")
     rest = open_split(config.data, "train", chosen_protocol(config.data, config.protocol))
     assert len(rest.names) == len(whole.names) - 1
     assert f"train: 1 of {len(whole.names)} frames left out, such as nyu/" in caplog.text
