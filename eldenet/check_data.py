@@ -43,7 +43,7 @@ class CheckDataSettings:
 
 
 def check_data(s: CheckDataSettings) -> bool:
-    """Check every split, print a table, write ``check.json`` and a contact sheet; True if all is well.
+    """Check every split, print a table, write ``check.json`` and a contact sheet; True without faults.
 
     Raises:
         FileNotFoundError: the data set's folder does not exist.
@@ -56,8 +56,8 @@ def check_data(s: CheckDataSettings) -> bool:
 
     folder = Path(s.output).expanduser()
     log, same = RunLog(folder), same_splits(s.data)
-    scored = chosen_protocol(s.data, s.protocol).check_ground_truth
-    found = check_splits(s.data, scored, log.bar, frames=s.frames, samples=s.samples)
+    protocol = chosen_protocol(s.data, s.protocol)
+    found = check_splits(s.data, protocol.check_ground_truth, log.bar, frames=s.frames, samples=s.samples)
     folder.mkdir(parents=True, exist_ok=True)
     write_json(
         folder / CHECK_FILE,
@@ -107,7 +107,7 @@ def recognize_folder(folder: Path) -> bool:
 
 def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found: "DataCheck") -> None:
     """Print one table with a column per split that could be opened, then what is wrong or in doubt."""
-    from eldenet.data.inspection import doubts, encoding_of, inverse_doubts
+    from eldenet.data.inspection import encoding_of, inverse_doubts, unit_doubts
 
     opened = [split for split in found.splits if not split.fault]
     if cells := [_cells(split) for split in opened]:
@@ -123,7 +123,7 @@ def _show(log: "RunLog", data: Mapping[str, Any], same: Mapping[str, str], found
         log.say(line)
     encoding = data.get("encoding")
     guesses = [
-        (split.split, *doubts(split.median, encoding_of(encoding, split.split)))
+        (split.split, *unit_doubts(split.median, encoding_of(encoding, split.split)))
         for split in found.splits
         if encoding is not None and split.median is not None
     ]

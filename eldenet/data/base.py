@@ -270,7 +270,7 @@ class FileDataset(DepthDataset):
 
     Raises:
         FileNotFoundError: files are missing, and ``on_error`` is "stop".
-        ValueError: of a data set of this kind: a split, setting, list or file name is wrong.
+        ValueError: there are no frames, or a split, setting, list or file name of the data set is wrong.
     """
 
     frame_lists: tuple[str, ...] = ("names", "files")

@@ -14,7 +14,6 @@ CLASS_IDS = {
     "truck": 27, "bus": 28, "train": 31, "motorcycle": 32, "bicycle": 33,
 }  # fmt: skip
 """The 19 scored classes, in the order of the official train ids 0 to 18, with their label ids."""
-_LARGEST_ID = 33
 _CLASS_OF_ID = np.full(256, NO_CLASS, np.uint8)
 _CLASS_OF_ID[list(CLASS_IDS.values())] = np.arange(len(CLASS_IDS))
 
@@ -26,10 +25,10 @@ def read_label_ids(path: Path) -> np.ndarray:
         FileNotFoundError: there is no such file.
         ValueError: the file is damaged, or holds no label ids.
     """
-    ids = read_raw_depth(path)
-    if ids.dtype != np.uint8 or (ids[ids != NO_CLASS] > _LARGEST_ID).any():
+    ids, largest = read_raw_depth(path), max(CLASS_IDS.values())
+    if ids.dtype != np.uint8 or (ids[ids != NO_CLASS] > largest).any():
         raise ValueError(
-            f"{path} holds {ids.dtype} up to {ids.max(initial=0)}, expected label ids 0 to {_LARGEST_ID} in "
+            f"{path} holds {ids.dtype} up to {ids.max(initial=0)}, expected label ids 0 to {largest} in "
             "8 bits: is it *_gtFine_labelIds.png? If not, fetch gtFine_trainvaltest.zip"
         )
     return _CLASS_OF_ID[ids]
@@ -60,6 +59,7 @@ def wanted_labels(labels: bool | str, found: bool, where: str) -> bool:
 
     Raises:
         FileNotFoundError: ``labels`` is True and there are none.
+        ValueError: ``labels`` is anything else.
     """
     if labels not in (True, False, "auto"):
         raise ValueError(f"labels={labels!r}: give true, false or auto")

@@ -2,8 +2,8 @@
 
 Around each chosen picture, corners are tracked through earlier and later ones, both ways. A bundle adjustment
 then solves for the depth of all corners and corrects the poses, within what odometry may be wrong: a few
-percent of the way and some tenths of a degree. A corner counts if at least three views agree on it and its
-depth is known to 10 %.
+percent of the way and some tenths of a degree. A corner counts if three other views agree on it (two, where
+there are only two) and its depth is known to 10 %.
 """
 
 from collections import deque
@@ -25,13 +25,13 @@ NEAREST_VIEW, FARTHEST_VIEW, MOST_TURN = 0.04, 1.2, 0.7  # of a picture's views 
 SIDE_VIEWS, GROWTH = 6, 1.7  # of a picture, before and after it; from one's distance to the next one's
 THERE_AND_BACK = 0.7  # by which tracking forth and back may miss a corner [px]
 SAME_POINT = 1.5  # error of a view that agrees [px]
-LEAST_VIEWS, LEAST_SHARE = 3, 0.6  # that agree, and their share of those that saw the corner
+LEAST_VIEWS, LEAST_SHARE = 3, 0.6  # other views that agree; their share of those that saw the corner
 MOST_SIGMA = 0.1  # of ln depth
 NEAR, FAR = 0.15, 12.0  # of depth that is kept [m]
 WAY_ERROR, TURN_ERROR = 0.03, 0.005  # of odometry between two views: share of the way, [rad]
 TRACK_ERROR = 0.5  # of a tracked corner [px]
 HEIGHT_ERROR, PITCH_ERROR = 0.02, 0.012  # of the mount: share of the height, [rad]
-TURN_COUNTS = 0.3  # of a drive: meters that one radian counts
+TURN_COUNTS = 0.3  # meters of travel that a turn of one radian counts
 SWEPT_WIDTH, SWEPT_WINDOW, MOST_DIFFERENCE = 240, 7, 30.0  # of the plane sweep [px], [px], gray levels
 _TO_VIEW = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _STARTS = 1 / np.geomspace(NEAR, 25, 40)  # of the search for inverse depth [1/m]
@@ -80,7 +80,10 @@ class MotionDepth:
         return View(name, image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), pose, seconds)
 
     def along(self, views: Iterable[View], spacing: float) -> Iterator[tuple[View, Points]]:
-        """Yield a view each ``spacing`` [m] of travel with its points; few views are kept in memory."""
+        """Yield a view each ``spacing`` [m] of travel with its points; few views are kept in memory.
+
+        Turns are travel, too (``TURN_COUNTS``).
+        """
         window: deque[tuple[float, View]] = deque()
         waiting: deque[tuple[float, View]] = deque()
         travel, due = 0.0, 0.0
@@ -119,12 +122,12 @@ class MotionDepth:
         sides = [chosen_views(view, side) for side in (earlier, later)]
         if not any(sides):
             return none
-        inverse = np.linalg.inv(self.seen_intrinsics)
+        to_rays = np.linalg.inv(self.seen_intrinsics)
         others = [*sides[0], *sides[1]]
         seen = track(view, others, corners, self.seen_intrinsics)
         motions = [np.linalg.inv(other.pose) @ view.pose for other in others]
-        rays = (homogeneous(corners) @ inverse.T)[:, :2]
-        observed = np.stack([(homogeneous(points) @ inverse.T)[:, :2] for points in seen])
+        rays = (homogeneous(corners) @ to_rays.T)[:, :2]
+        observed = np.stack([(homogeneous(points) @ to_rays.T)[:, :2] for points in seen])
         solved, sigma = bundle(rays, observed, np.stack(motions), float(self.seen_intrinsics[0, 0]))
         if self.floor is not None:
             solved, sigma = beside_floor(solved, sigma, rays, view.pose[:3, :3], self.floor)
@@ -162,18 +165,18 @@ def track(
 ) -> list[np.ndarray]:
     """Return where corners ``(N, 2)`` [px] of a view lie in each other view; NaN where they are lost.
 
-    The other view is warped as if all were at the depth at which :func:`sweep` puts a corner, so that what
-    is close looks the same from all distances.
+    Around a corner the other view is warped as a plane at the depth that :func:`sweep` finds there, so even
+    near things look alike in both.
     """
     inverse = sweep(view, others, corners, intrinsics)
-    size, rest = view.gray.shape[::-1], np.linalg.inv(intrinsics)
+    size, to_rays = view.gray.shape[::-1], np.linalg.inv(intrinsics)
     found = []
     for other in others:
         motion = np.linalg.inv(other.pose) @ view.pose
         points = np.full((len(corners), 2), np.nan)
         for one in np.unique(inverse):
             here = np.flatnonzero(inverse == one)
-            plane = intrinsics @ _of_plane(motion, one) @ rest
+            plane = intrinsics @ _of_plane(motion, one) @ to_rays
             warped = cv2.warpPerspective(other.gray, plane, size, flags=_TO_VIEW)
             there, good = there_and_back(
                 view.gray, warped, corners[here], THERE_AND_BACK, maxLevel=0, criteria=(3, 20, 0.03)
@@ -194,39 +197,41 @@ def there_and_back(
     Returns:
         Where they lie there ``(N, 2)``, and which come back to within ``most`` [px] ``(N,)``.
     """
-    track: Any = partial(cv2.calcOpticalFlowPyrLK, winSize=(15, 15), **options)
+    flow: Any = partial(cv2.calcOpticalFlowPyrLK, winSize=(15, 15), **options)
     given = np.ascontiguousarray(corners[:, None], np.float32)
-    there, ok, _ = track(one, other, given, None)
-    back, ok_back, _ = track(other, one, there, None)
+    there, ok, _ = flow(one, other, given, None)
+    back, ok_back, _ = flow(other, one, there, None)
     misses = np.linalg.norm((back - given)[:, 0], axis=1)
     return there[:, 0], (np.hstack([ok, ok_back]) > 0).all(1) & (misses < most)
 
 
 def _of_plane(motion: np.ndarray, inverse: float) -> np.ndarray:
-    """From rays of a view to those of another, for a plane that faces the view at an inverse depth [1/m]."""
+    """``(3, 3)`` from rays of a view to those of another, of a plane that faces it at an inverse depth [1/m].
+
+    ``motion (4, 4)`` is from the view to the other [m].
+    """
     return motion[:3, :3] + inverse * np.outer(motion[:3, 3], (0, 0, 1))
 
 
 def sweep(view: View, others: Sequence[View], corners: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
-    """Return the inverse depth ``(N,)`` [1/m] of a grid at which the other views look most alike at corners.
+    """Return the inverse depth ``(N,)`` [1/m] at which other views look most like this one around corners.
 
-    Each view is warped as if all were a plane at one depth (plane sweep); the better half of them counts.
+    Each is warped as a plane at each depth of a grid (plane sweep); the better half of the views counts.
     """
     size = tuple(max(1, round(side * min(1.0, SWEPT_WIDTH / view.gray.shape[1]))) for side in view.gray.shape)
     matrix = resize_intrinsics(intrinsics, view.gray.shape, size)
-    rest = np.linalg.inv(matrix)
+    to_rays = np.linalg.inv(matrix)
     at = (corners + 0.5) * size[1] / view.gray.shape[1] - 0.5
     columns, rows = np.rint(at).astype(int).T
     columns, rows = columns.clip(0, size[1] - 1), rows.clip(0, size[0] - 1)
-    now = _flattened(view.gray, size)
+    now, unlike = _flattened(view.gray, size), MOST_DIFFERENCE * 4
     costs = np.empty((len(others), len(_STARTS), len(corners)), np.float32)
     for number, other in enumerate(others):
         motion = np.linalg.inv(other.pose) @ view.pose
         then = _flattened(other.gray, size)
         for place, inverse in enumerate(_STARTS):
-            plane = matrix @ _of_plane(motion, inverse) @ rest
-            border = MOST_DIFFERENCE * 4
-            warped = cv2.warpPerspective(then, plane, size[::-1], flags=_TO_VIEW, borderValue=border)
+            plane = matrix @ _of_plane(motion, inverse) @ to_rays
+            warped = cv2.warpPerspective(then, plane, size[::-1], flags=_TO_VIEW, borderValue=unlike)
             difference = np.minimum(np.abs(warped - now), MOST_DIFFERENCE)
             costs[number, place] = cv2.blur(difference, (SWEPT_WINDOW, SWEPT_WINDOW))[rows, columns]
     half = np.sort(costs, axis=0)[: (len(others) + 1) // 2].mean(axis=0)
@@ -261,7 +266,7 @@ def bundle(
     lengths = np.linalg.norm(ways, axis=1)
     prior = np.repeat(np.column_stack([np.full(count, TURN_ERROR), WAY_ERROR * lengths]), 3, axis=1) ** -2.0
     moved = np.zeros((count, 6))  # turn [rad] and way [m] so far
-    for trial in range(10):
+    for trial in range(10):  # Gauss-Newton; errors far above width hardly count (Geman and McClure)
         width = (3.0 if trial < 4 else 1.0) / focal
         error, by_inverse, by_pose = _errors(points, inverse, seen, turns, ways)
         squared = (error**2).sum(-1)
@@ -272,7 +277,7 @@ def bundle(
         matrix = block_diag(*of_pose) + np.diag(prior.ravel())
         right_point = -(weight[..., None] * by_inverse * error).sum((0, 2))
         right_pose = -np.einsum("vn,vnk,vnkp->vp", weight, error, by_pose) - prior * moved
-        reduced = matrix - (across / of_point) @ across.T
+        reduced = matrix - (across / of_point) @ across.T  # the points are eliminated (Schur complement)
         step = np.linalg.solve(reduced, right_pose.ravel() - across @ (right_point / of_point))
         inverse = inverse + np.clip((right_point - across.T @ step) / of_point, -0.3 * inverse, 0.5 * inverse)
         for v, change in enumerate(step.reshape(count, 6)):
@@ -303,7 +308,12 @@ def _first_guess(
 def _errors(
     points: np.ndarray, inverse: np.ndarray, seen: np.ndarray, turns: np.ndarray, ways: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors ``(V, N, 2)``, their change with inverse depth and with the pose ``(V, N, 2, 6)``."""
+    """By how much views miss ``points (N, 3)`` at their inverse depth, and how that changes.
+
+    Returns:
+        Errors ``(V, N, 2)``, in units of rays, and their change with inverse depth ``(V, N, 2)`` and with
+        turn and way of the pose ``(V, N, 2, 6)``.
+    """
     turned = points @ turns.transpose(0, 2, 1)
     moved = inverse[:, None] * ways[:, None]
     x, y, z = np.moveaxis(turned + moved, -1, 0)
@@ -322,10 +332,10 @@ def _errors(
 def beside_floor(
     inverse: np.ndarray, sigma: np.ndarray, rays: np.ndarray, rotation: np.ndarray, height: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Put points that may lie on the floor nearer to it, and give up points below it.
+    """Return inverse depth and sigma, nearer to the floor where points may lie on it.
 
-    Points have ``inverse`` depth ``(N,)`` [1/m], its ``sigma``, and ``rays (N, 2)``; ``rotation (3, 3)`` is
-    world from camera, z up, and ``height`` that of the camera [m].
+    Sigma of points below the floor is infinite. Points have ``inverse`` depth ``(N,)`` [1/m], its ``sigma``,
+    and ``rays (N, 2)``; ``rotation (3, 3)`` is camera to world, z up, and ``height`` the camera's [m].
     """
     down = -(homogeneous(rays) @ rotation.T)[:, 2]
     floor = down / height

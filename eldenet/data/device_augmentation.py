@@ -20,8 +20,8 @@ from eldenet.data.transforms import IDENTITY, Augmentation, Change
 from eldenet.geometry import BORDER_COLOR
 from eldenet.types import DepthSample, Frame
 
-#: A color change: x -> gain x + gray gray(x) + mean mean(gray(x)) + offset, then hue [turns], saturation and
-#: value are shifted.
+#: Seven numbers of a color change: x -> GAIN x + GRAY gray(x) + MEAN mean(gray(x)) + OFFSET; then HUE
+#: [turns], SATURATION and VALUE are added.
 GAIN, GRAY, MEAN, OFFSET, HUE, SATURATION, VALUE = range(7)
 UNCHANGED = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 STAGES = 7  # one gray; brightness and contrast; four of the jitter; hue, saturation and value
@@ -59,7 +59,7 @@ def raw_sample(
 
 
 def color_stages(draws: Sequence[tuple[Any, Mapping[str, Any]]]) -> np.ndarray:
-    """Return the ``(7, 7)`` color changes that were drawn from albumentations' transforms, in their order.
+    """Return the color changes ``(STAGES, 7)`` that albumentations' transforms drew, in their order.
 
     Raises:
         ValueError: another transform was drawn.

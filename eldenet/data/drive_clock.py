@@ -14,7 +14,8 @@ from eldenet.data.self_calibration import LEAST_PAIRS, Pair, fit_error
 
 MOST_DELAY, DELAY_STEP = 3.0, 0.02  # of the first search [s]
 LEAST_TURN = 0.05  # standard deviation of a drive's turn rate that tells the delay [rad/s]
-LEAST_AGREE, OTHER_WAY = 0.7, 0.05  # correlation that tells it; more of it by a heading of the other sign
+LEAST_AGREE = 0.7  # correlation that tells it
+OTHER_WAY = 0.05  # a heading of the wrong sign correlates better by so much
 FINE_STEPS = np.arange(-5, 6) * 0.05  # of the second search [s]
 
 
@@ -55,7 +56,7 @@ def find_delay(
 
 
 def moved_pairs(pairs: Sequence[Pair], poses: DrivePoses, delay: float) -> list[Pair]:
-    """Pairs with the motion that the poses give a delay later [s], without those beyond the poses."""
+    """Return pairs with the motion between poses ``delay`` [s] after their times; none beyond the poses."""
     found = []
     for pair in pairs:
         begin, end = (poses.at(time + delay) for time in pair.times or ())
@@ -65,7 +66,11 @@ def moved_pairs(pairs: Sequence[Pair], poses: DrivePoses, delay: float) -> list[
 
 
 def _by_turns(pairs: Sequence[Pair], poses: DrivePoses) -> float | None:
-    """The delay by how turns and shifts of corners agree [s]."""
+    """The delay [s] at which turns and sideways shifts of corners agree best; None: not told.
+
+    Raises:
+        ValueError: the poses turn the other way than the pictures.
+    """
     from scipy.spatial.transform import Rotation
 
     begins, ends = np.array([pair.times for pair in pairs]).T

@@ -25,7 +25,8 @@ ALLOWED = (
 LEAST_WAY = 1.0  # of a drive [m]
 FASTEST, FASTEST_TURN = 10.0, 4.0  # of a drive on average [m/s], [rad/s]
 LONGEST_STEP = 5.0  # between two pictures whose poses have no times [m]
-LARGEST_GAP = 0.5  # between two poses of which one is interpolated [s]
+LARGEST_GAP = 0.5  # between two poses that are interpolated [s]
+SAME_TIME = 0.01  # from a pose beside a larger gap: the pose itself [s]
 _BASE_FROM_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
@@ -85,7 +86,7 @@ class DrivePoses:
         after = min(max(1, int(np.searchsorted(times, seconds))), len(times) - 1)
         if times[after] - times[after - 1] > LARGEST_GAP:
             nearest = after if seconds - times[after - 1] > times[after] - seconds else after - 1
-            return self.cameras[nearest] if abs(times[nearest] - seconds) < LARGEST_GAP / 50 else None
+            return self.cameras[nearest] if abs(times[nearest] - seconds) < SAME_TIME else None
         from scipy.spatial.transform import Rotation, Slerp
 
         span = times[after - 1 : after + 1]

@@ -52,11 +52,11 @@ class FolderDataset(FileDataset):
         tolerance: largest difference of time [s] between a picture and its depth map.
         rotate_depth: degrees by which depth and confidence maps are turned clockwise: 0, 90, 180 or 270.
         encoding: of the depth files: a name in :data:`eldenet.data.io.ENCODINGS`, or
-            ``{scale: meters per step, offset: steps, dtype: uint8 | uint16 | float}``.
-        intrinsics: ``[fx, fy, cx, cy]`` or ``(3, 3)`` of the pictures on disk, or of the depth maps, [px],
-            which must then have one size, with the principal point inside; a table with ``width`` and
-            ``height`` too; a file of the camera below ``root``; or a folder or pattern of one file per
-            picture. None: those of the list, or unknown.
+            ``{scale: meters per step, offset: steps, dtype: uint8 | uint16 | int32 | float}``.
+        intrinsics: of one camera: ``[fx, fy, cx, cy]`` or ``(3, 3)`` [px], a table of fx, fy, cx, cy, width
+            and height, or a file below ``root``; or a folder or pattern of one file per picture. Numbers
+            without a size describe the pictures on disk or the depth maps, as the principal point tells;
+            pictures must then have one size. None: those of the list, or unknown.
         split: "train", "val", "all", or "test", if a folder is named so.
         val_fraction: share of the blocks or scenes for validation.
         blocks: how many blocks the frames are cut into.
@@ -184,7 +184,7 @@ class FolderDataset(FileDataset):
         return Frame(image, depth, None if camera is None else camera.at_size(size, depth_size), name)
 
     def camera_of(self, name: str) -> Camera | None:
-        """Return the camera of a frame as its recorder stored it, with its pose where there is one."""
+        """Return the camera of a frame: its own file's, the settings' or the list's; None: unknown."""
         found = self.frames[name].camera
         if isinstance(found, str):
             return read_camera(self.root / found)

@@ -223,7 +223,7 @@ def encoding_of(encoding: Encoding, split: str) -> Encoding:
     return encoding
 
 
-def doubts(median: float, encoding: Encoding) -> tuple[str, bool]:
+def unit_doubts(median: float, encoding: Encoding) -> tuple[str, bool]:
     """What a median depth [m] would be in other encodings, as a line, and whether it is implausible."""
     own = depth_encoding(encoding)
     others = {

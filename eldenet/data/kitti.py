@@ -33,7 +33,7 @@ from eldenet.system.checks import one_of
 from eldenet.system.errors import reading
 from eldenet.system.files import read_text
 
-SPLITS = ("train", "val", "trainval", "test", "all")
+_SPLITS = ("train", "val", "trainval", "test", "all")
 _GROUND_TRUTH = {"groundtruth": "improved", "velodyne_raw": "sparse"}
 
 
@@ -80,14 +80,14 @@ class KITTIDepth(KITTIFrames):
         calibration: str = "required",
         **options: Unpack[SampleOptions],
     ) -> None:
-        one_of("split", split, SPLITS)
+        one_of("split", split, _SPLITS)
         one_of("depth", depth, DEPTH_KINDS)
         folder = find_root(root, "kitti/depth", [], DEPTH_TREE)
-        beside = [folder, folder.parent / "raw", folder.parent]
+        picture_roots = [folder, folder.parent / "raw", folder.parent]
         if raw_root is not None:
-            beside = [find_root(raw_root, None, [], RAW_TREE, "data.raw_root")]
+            picture_roots = [find_root(raw_root, None, [], RAW_TREE, "data.raw_root")]
         parts = {"test": ("val",), "all": ("train", "val", "")}.get(split, ("train", ""))
-        chosen = _both(cameras)
+        chosen = _checked(cameras)
         if list_file is not None:  # a list decides on parts and cameras
             parts, chosen = ("train", "val", ""), (2, 3)
         maps = depth_maps(folder, depth, parts, chosen)
@@ -97,9 +97,9 @@ class KITTIDepth(KITTIFrames):
         without = [place for place in given if depth == "groundtruth" and not given[place]]
         places = _split([place for place in given if place not in without], split, exclude_list)
         self.ground_truth = _GROUND_TRUTH[depth]
-        pictures = pictures_of(places, beside)
+        pictures = pictures_of(places, picture_roots)
         super().__init__(folder, pictures, maps, places, without_depth=without, frames=frames, **options)
-        self.calibrate(beside, calibration)
+        self.calibrate(picture_roots, calibration)
 
 
 class KITTIRaw(KITTIFrames):
@@ -137,10 +137,10 @@ class KITTIRaw(KITTIFrames):
         frames: int | None = None,
         **options: Unpack[SampleOptions],
     ) -> None:
-        one_of("split", split, SPLITS)
+        one_of("split", split, _SPLITS)
         one_of("projection", projection, PROJECTIONS)
         folder = find_root(root, "kitti/raw", [], RAW_TREE)
-        sources = scans(folder, _both(cameras) if list_file is None else (2, 3))
+        sources = scans(folder, _checked(cameras) if list_file is None else (2, 3))
         if not sources:
             raise incomplete(f"{folder} has no velodyne_points", RAW_TREE)
         places = _split(list(sources if list_file is None else frame_list(list_file)), split, exclude_list)
@@ -220,13 +220,15 @@ class KITTISelection(KITTIFrames):
             raise ValueError(f"{file} must hold fx 0 cx, 0 fy cy, 0 0 1 ({error}): fetch it again") from error
 
 
-def _both(cameras: Sequence[int]) -> Sequence[int]:
+def _checked(cameras: Sequence[int]) -> Sequence[int]:
+    """The cameras in order, once each."""
     if not cameras or not set(cameras) <= {2, 3}:
         raise ValueError(f"cameras={list(cameras)}: give [2] (left color), [3] (right color) or [2, 3]")
     return sorted(set(cameras))
 
 
 def _split(places: Sequence[Place], split: str, exclude_list: str | Path | None) -> list[Place]:
+    """The places of a split, without the drives of ``exclude_list``."""
     if exclude_list is not None:
         tested = {place.drive for place in frame_list(exclude_list)}
         places = [place for place in places if place.drive not in tested]

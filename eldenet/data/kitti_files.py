@@ -203,7 +203,7 @@ def refuse_missing_drives(
 
 
 class KITTIFrames(FileDataset):
-    """Frames of a picture and a source of sparse depth each.
+    """Frames of a picture and a file of sparse depth each: a map, or a LiDAR scan.
 
     Args:
         root: of the data set, for messages.
@@ -248,6 +248,7 @@ class KITTIFrames(FileDataset):
             refuse_missing_drives(root, places, pictures, sources)
         self.places = list(places)
         self.intrinsics: dict[tuple[str, int], np.ndarray] = {}
+        # whole paths; a missing file gets a name that is nowhere below the root, so it counts as missing
         files = [
             (
                 str(pictures.get(place) or f"{place.name} (no picture)"),
@@ -284,7 +285,14 @@ class KITTIFrames(FileDataset):
         return read_depth(self.root / self.files[index][1], "kitti")
 
     def calibrate(self, folders: Sequence[Path], calibration: str) -> dict[tuple[str, int], Path]:
-        """Read the intrinsics of every date; return the folder of each date's calibration files."""
+        """Read the intrinsics of every date and camera; return the folder of the calibration files of each.
+
+        ``calibration`` is "required", or "optional" to leave out dates that have none in ``folders``.
+
+        Raises:
+            FileNotFoundError: a required file is missing.
+            ValueError: a file is damaged, or ``calibration`` is unknown.
+        """
         one_of("calibration", calibration, ("required", "optional"))
         found = {}
         for date, camera in sorted({(place.date, place.camera) for place in self.places}):

@@ -11,7 +11,6 @@ from eldenet.data.nyu_hdf5 import HDF5_TREE, MAT_TREE
 
 LABELED_TREE = "data/nyu2_train.csv, data/nyu2_train/labeled_out/0001.jpg, 0001.png"
 OBJECT_TREE = "training/image_2/000000.png, calib/000000.txt       (for AP: label_2/000000.txt)"
-PARTS = ("train/", "val/", "")
 RECORDING_TREES = """
 rgb/0.jpg, depth/0.exr, metadata.json                                   Record3D, exported as EXR
 rgb/000000.jpg, depth/000000.png, confidence/000000.png                 Stray Scanner and other ARKit apps
@@ -44,7 +43,9 @@ def _is_raw(folder: Path) -> bool:
 
 
 def _is_depth_devkit(folder: Path) -> bool:
-    places = (f"{base}{part}*_sync/proj_depth" for base in ("", "data_depth_*/") for part in PARTS)
+    places = (
+        f"{base}{part}*_sync/proj_depth" for base in ("", "data_depth_*/") for part in ("train/", "val/", "")
+    )
     return any(next(folder.glob(place), None) is not None for place in places)
 
 

@@ -28,6 +28,12 @@ class EpochSampler(Sampler[list[SampleKey]]):
         rank: of this process.
         processes: how many train together.
         aspect_ratios: width / height of batches; each draws one, and its keys are ``(epoch, index, aspect)``.
+
+    Attributes:
+        epoch: of the next pass.
+        start: first batch of the next pass, where a resumed one continues.
+        left_out: frames that an epoch does not show; others in each epoch.
+        smallest_batch: samples of the smallest batch.
     """
 
     def __init__(
@@ -43,13 +49,12 @@ class EpochSampler(Sampler[list[SampleKey]]):
         self.length, self.batch_size, self.seed = length, batch_size, seed
         self.aspect_ratios = aspect_ratios
         self.rank, self.processes = rank, processes
-        self.epoch = 0  # of the next pass
-        self.start = 0  # first batch, where a resumed one continues
+        self.epoch, self.start = 0, 0
         # drop a smaller last batch, whose step would be noisier, unless an epoch has few batches
         together = batch_size * processes
         whole, rest = divmod(length, together)
         self.batches = whole + 1 if rest and whole < FEW_BATCHES else whole
-        self.left_out = max(0, length - self.batches * together)  # frames not shown, others in each epoch
+        self.left_out = max(0, length - self.batches * together)
         self.smallest_batch = batch_size if self.left_out else (length % batch_size or batch_size)
 
     def __len__(self) -> int:
@@ -64,6 +69,7 @@ class EpochSampler(Sampler[list[SampleKey]]):
             aspects = [(ratios[which],) for which in chosen.tolist()]
         for batch in range(self.start, self.batches):
             first = (batch * self.processes + self.rank) * self.batch_size
+            # a process without a share of a smaller last batch repeats the first frames
             indices = order[first : first + self.batch_size] or order[: self.batch_size]
             yield [(self.epoch, index, *aspects[batch]) for index in indices]
 
@@ -108,7 +114,8 @@ class Loader(DataLoader):
         try:
             yield from super().__iter__()
         except (RuntimeError, ConnectionError, EOFError) as error:
-            # the last two: it was killed while it handed over a batch, unless a frame's reading raised them
+            # the last two: it was killed while it handed over a batch, unless they name a worker, whose
+            # reading of a frame then raised them
             handing_over = not isinstance(error, RuntimeError) and "DataLoader worker" not in str(error)
             if not handing_over and "exited unexpectedly" not in str(error):
                 raise

@@ -190,8 +190,8 @@ def _take(file: Any, key: str, source: object) -> Any:
     return found
 
 
-def _read(dataset: Any, part: Any, source: object) -> np.ndarray:
-    """Read an array or a part of it, as far as its header allows: size, and size and number of chunks."""
+def _read(dataset: Any, part: int | tuple[()], source: object) -> np.ndarray:
+    """Read an array, or frame ``part`` of it, unless its size or its chunks' size or number are too large."""
     shape, chunks = dataset.shape, dataset.chunks or dataset.shape
     check_pixels(chunks, source)
     if part != ():

@@ -1,4 +1,4 @@
-"""Cut out, resize and crop a camera frame: image, depth and intrinsics together."""
+"""Cut and resize a camera frame as a protocol says: image, depth, labels and intrinsics together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +26,9 @@ class ResizeCrop:
     anchor: str = "center"  # of the crop: "center", or "bottom" for the lowest rows, centered horizontally
     size: Sequence[int] | None = None  # (height, width) of a last resize, after the crop [px]
     sparse: bool = False  # depth is single points: a resize keeps each one, the nearest if several meet
-    keep_depth: bool = False  # depth stays whole: the prediction will be pasted into the frame; for a crop
+    keep_depth: bool = (
+        False  # box and crop cut the image alone: its prediction is pasted into the whole frame
+    )
 
     def __call__(self, frame: Frame, generator: np.random.Generator | None = None) -> Frame:
         """Transform one frame; nothing here is random.

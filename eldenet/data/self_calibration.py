@@ -13,20 +13,26 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from eldenet.data.depth_from_motion import View, apart, homogeneous, there_and_back
+from eldenet.data.depth_from_motion import (
+    CORNER_SPACING,
+    TRACK_ERROR,
+    View,
+    apart,
+    homogeneous,
+    there_and_back,
+)
 from eldenet.geometry import level_rotation
 
 PAIR_WAY, MOST_WAY, MOST_TURN = 0.08, 1.0, 0.35  # between the pictures of a pair: least, most [m], [rad]
 MOST_PAIRS, LEAST_PAIRS = 200, 24
-CORNERS, LEAST_CORNERS, SPACING = 200, 20, 0.0125  # of a pair; how far apart [widths]
+CORNERS, LEAST_CORNERS = 200, 20  # of a pair
 THERE_AND_BACK = 0.5  # by which tracking forth and back may miss a corner [px]
 ON_LINE, LEAST_SHARE = 1.5, 0.7  # distance of a corner from its line that agrees [px]; their share
-TRACK_ERROR = 0.5  # of a corner [px]
 PARTS = 5  # of the drive; fits without one of them tell how sure the fit is (jackknife)
 #: Standard errors of a fit that counts: ln of the focal length, pitch and yaw [rad], place on the robot [m].
 SURE = (0.03, 0.02, 0.02, 0.03)
 STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)  # factors of the focal length
-LIMITS = (math.log(3), 0.6, 0.6, 1.0)  # of the search; a heading of the wrong sign meets them
+LIMITS = (math.log(3), 0.6, 0.6, 1.0)  # of the search, as SURE; a heading of the wrong sign meets them
 #: Of a corner that may be on the floor: least height below the camera per depth, sigma of it as a share.
 LEAST_DOWN, MOST_SIGMA = 0.02, 0.3
 HEIGHTS = np.arange(math.log(0.03), math.log(6.0), 0.01)  # of the search for the floor: ln of meters
@@ -74,7 +80,7 @@ def find_pairs(views: Iterable[View]) -> list[Pair]:
 def _tracked(one: View, other: View) -> Pair:
     motion = np.linalg.inv(other.pose) @ one.pose
     times = None if one.seconds is None or other.seconds is None else (one.seconds, other.seconds)
-    corners = cv2.goodFeaturesToTrack(one.gray, CORNERS, 0.01, max(3, SPACING * one.gray.shape[1]))
+    corners = cv2.goodFeaturesToTrack(one.gray, CORNERS, 0.01, max(3, CORNER_SPACING * one.gray.shape[1]))
     if corners is None:
         return Pair(np.empty((0, 2)), np.empty((0, 2)), motion, times)
     there, good = there_and_back(one.gray, other.gray, corners[:, 0], THERE_AND_BACK, maxLevel=4)
@@ -128,8 +134,8 @@ def floor_below(pairs: Sequence[Pair], intrinsics: np.ndarray, pitch: float) -> 
 
 def _heights_below(pair: Pair, intrinsics: np.ndarray, down: np.ndarray) -> np.ndarray:
     """Ln of how far corners lie below the camera [m], and its sigma ``(M, 2)``, where motion tells depth."""
-    inverse = np.linalg.inv(intrinsics)
-    here, there = homogeneous(pair.here) @ inverse.T, (homogeneous(pair.there) @ inverse.T)[:, :2]
+    to_rays = np.linalg.inv(intrinsics)
+    here, there = homogeneous(pair.here) @ to_rays.T, (homogeneous(pair.there) @ to_rays.T)[:, :2]
     turned, way = here @ pair.motion[:3, :3].T, pair.motion[:3, 3]
     moves = way[:2] - there * way[2]  # in the picture, times inverse depth
     moved = there * turned[:, 2:] - turned[:, :2]
@@ -143,7 +149,10 @@ def _heights_below(pair: Pair, intrinsics: np.ndarray, down: np.ndarray) -> np.n
 
 
 def _lowest_peak(heights: np.ndarray) -> float:
-    """Ln of the lowest of ``heights (N, 2)`` that many have in common; NaN if none stands out."""
+    """Ln of how far below the camera [m] the lowest place of many corners is; NaN if none stands out.
+
+    ``heights (N, 2)`` are those of :func:`_heights_below`.
+    """
     from scipy.ndimage import gaussian_filter1d
 
     step = HEIGHTS[1] - HEIGHTS[0]
@@ -159,7 +168,10 @@ def _lowest_peak(heights: np.ndarray) -> float:
 def fit_error(
     pairs: Sequence[Pair], intrinsics: np.ndarray, forward: np.ndarray | None, start: np.ndarray | None
 ) -> tuple[float, np.ndarray]:
-    """Fit focal length, pitch and yaw; return the mean error of corners, and the camera for ``start``."""
+    """Fit focal length, pitch and yaw; return the mean cost of corners, and the fit: a next one's ``start``.
+
+    The other arguments are those of :func:`fit_camera`. Without ``start`` several focal lengths are tried.
+    """
     drive = _Drive(pairs, intrinsics, np.zeros(3) if forward is None else forward)
     free = [0] if forward is None else [0, 1, 2]
     starts = [np.array([math.log(factor), 0, 0, 0]) for factor in STARTS] if start is None else [start]
@@ -172,7 +184,7 @@ class _Drive(NamedTuple):
 
     pairs: Sequence[Pair]
     intrinsics: np.ndarray
-    forward: np.ndarray
+    forward: np.ndarray  # zeros: the poses are the camera's own
 
 
 def _fitted(drive: _Drive, starts: Sequence[np.ndarray], free: list[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -232,6 +244,6 @@ def _off_line(camera: np.ndarray, drive: _Drive) -> np.ndarray:
 
 
 def from_told(pitch: float, yaw: float = 0.0) -> np.ndarray:
-    """Camera ``(3, 3)`` that looks lower and to the left [rad], from the camera that was told."""
+    """Rotation ``(3, 3)`` to a camera that looks so much lower and to the left [rad], from the one told."""
     c, s = math.cos(yaw), math.sin(yaw)
     return level_rotation(pitch).T @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -80,7 +80,7 @@ class TeacherLabels(FileDataset):
         super().__init__(pictures_folder, files, [[file] for file in files], **options)
         if teacher.input_size is None:
             raise ValueError("teacher: give its input_size, [height, width] in pixels")
-        self.shape, self.focal = teacher.input_size, focal
+        self.seen_shape, self.focal = teacher.input_size, focal
         self.note = {
             "pictures": str(pictures_folder.resolve()),
             "teacher": teacher.signature,
@@ -108,7 +108,7 @@ class TeacherLabels(FileDataset):
         picture, label = self.frame_files(index)
         image, depth = read_image(picture, upright=True), read_depth(label, MILLIMETERS)
         check_pair(image.shape, picture, depth.shape, label)
-        top, left, rows, cols = centered_box((depth.shape[0], depth.shape[1]), self.shape)
+        top, left, rows, cols = centered_box((depth.shape[0], depth.shape[1]), self.seen_shape)
         part = (slice(top, top + rows), slice(left, left + cols))
         intrinsics = None
         if self.focal is not None:
