@@ -225,7 +225,7 @@ def named_parts(frames: Sequence[RecordedFrame]) -> list[str]:
 
 def _named(names: Sequence[str], val_names: Sequence[str] | str | Path, *, wanted: bool) -> list[str]:
     if isinstance(val_names, str | Path):
-        text = read_text(Path(val_names), "val_names must be a list of names, or a text file")
+        text = read_text(Path(val_names).expanduser(), "val_names must be a list of names, or a text file")
         val_names = [line.strip() for line in text.splitlines() if line.strip()]
     wanted_names = set(map(composed, val_names))
     unknown = sorted(wanted_names - set(names))

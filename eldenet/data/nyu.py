@@ -186,7 +186,7 @@ class NYUSync(_NYUPairs):
         if split == "test":
             usual, setting = "nyu_depth_v2/official_splits/test", "data.test_root"
         folder = find_root(root, usual, [], SYNC_TREE, setting)
-        pairs = _sync_pairs(folder) if list_file is None else _list_pairs(Path(list_file))
+        pairs = _sync_pairs(folder) if list_file is None else _list_pairs(Path(list_file).expanduser())
         super().__init__(folder, pairs, split, encoding, **options)
 
 

@@ -34,7 +34,7 @@ def nyu_labelled(source: str, output: str = "nyu_labelled") -> None:
         FileNotFoundError: one of the two files is missing.
         ValueError: a file is damaged, or another one.
     """
-    mat, folder = Path(source), Path(output)
+    mat, folder = Path(source).expanduser(), Path(output).expanduser()
     for file in (mat, mat.with_name("splits.mat")):
         if not file.is_file():
             raise FileNotFoundError(

@@ -183,10 +183,11 @@ def test_folders_named_as_parts_are_these_parts(tmp_path: Path, names: str) -> N
         assert scenes_of("test") == {scene for scene in scenes if scene.startswith("test")}
 
 
-def test_validation_frames_can_be_named(tmp_path: Path) -> None:
+def test_validation_frames_can_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tree(tmp_path, 4)
+    monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "val.txt").write_text("f001\nf003\n")
-    for given in (["f003", "f001"], tmp_path / "val.txt", str(tmp_path / "val.txt")):
+    for given in (["f003", "f001"], tmp_path / "val.txt", "~/val.txt"):
         assert FolderDataset(tmp_path, split="val", val_names=given, max_depth=10.0).names == ["f001", "f003"]
         assert FolderDataset(tmp_path, split="train", val_names=given, max_depth=10.0).names == [
             "f000",

@@ -70,7 +70,7 @@ def test_labelled_frames_are_split_by_number(tmp_path: Path) -> None:
         NYULabelled(tmp_path)
 
 
-def test_sync_reads_raw_depth_and_bts_lists(tmp_path: Path) -> None:
+def test_sync_reads_raw_depth_and_bts_lists(tmp_path: Path, monkeypatch) -> None:
     data = NYUSync(sync(tmp_path))
     assert data.names == ["kitchen_0001/rgb_00000", "office_0002/rgb_00041"]
     assert data.ground_truth == "raw"
@@ -82,7 +82,8 @@ def test_sync_reads_raw_depth_and_bts_lists(tmp_path: Path) -> None:
     assert NYUSync(tmp_path, split="test").names == data.names
     lines = tmp_path / "list.txt"
     lines.write_text("/office_0002/rgb_00041.jpg /office_0002/sync_depth_00041.png 518.8579\n")
-    listed = NYUSync(tmp_path, list_file=lines)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    listed = NYUSync(tmp_path, list_file="~/list.txt")
     assert listed.names == ["office_0002/rgb_00041"]
     np.testing.assert_array_equal(listed.load_frame(0).depth, frame.depth)
     lines.write_text("office_0002/rgb_00041.jpg\n")

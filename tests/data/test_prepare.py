@@ -36,9 +36,11 @@ def compare(folder: Path, file: str, train: NYULabelled, test: NYUDenseDepth) ->
             np.testing.assert_allclose(ours.intrinsics, theirs.intrinsics)
 
 
-def test_made_frames_are_read_as_the_official_ones(tmp_path: Path) -> None:
+def test_made_frames_are_read_as_the_official_ones(tmp_path: Path, monkeypatch) -> None:
     layouts.mat(tmp_path, layouts.content((480, 640)))
-    train, test = prepare(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))  # zsh leaves the ~ of output=~/out to the program
+    main(["nyu_labelled", f"source=~/{NAME}", "output=~/out"])
+    train, test = NYULabelled("~/out", split="all"), NYUDenseDepth("~/out", split="test")
     assert [name.rpartition("/")[2] for name in train.names] == ["0002", "0003"]
     assert len(test) == 2
     compare(tmp_path, NAME, train, test)
