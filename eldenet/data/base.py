@@ -81,10 +81,12 @@ class DepthDataset(Dataset[DepthSample]):
         ValueError: there are no frames, or an argument is out of its range.
     """
 
-    ground_truth = "raw"
+    ground_truth = (
+        "raw"  # kind of depth, which a protocol must accept: raw, inpainted, dense, sparse, improved
+    )
     depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
-    make_sample: MakeSample | None = None
+    make_sample: MakeSample | None = None  # set by with_samples
     stretch: float | None = None
     class_names: tuple[str, ...] = ()  # of the semantic labels, by number; empty if none are read
 
@@ -204,7 +206,7 @@ class DepthDataset(Dataset[DepthSample]):
         return digest_of("\n".join(self.names))[:16]
 
     def size_group(self, index: int) -> Hashable:
-        """Return a key that frames of one size share; by default all frames have one size."""
+        """Return a key that frames of one size share, for a cache's slots; by default all have one size."""
         return None
 
     def __len__(self) -> int:

@@ -12,7 +12,7 @@ from eldenet.system.errors import reading, warn_once
 from eldenet.system.files import parse_json, read_text
 
 CAMERA_ENDINGS = (".json", ".txt", ".csv", ".yaml", ".yml", ".pincam")
-CENTRAL = 0.1  # how far from the middle a principal point may lie, as a share of the side
+CENTRAL = 0.1  # how far from the middle a principal point may lie that tells the size, as a share of the side
 _MATRICES = ("intrinsic_matrix", "intrinsics", "camera_matrix", "K", "cam_K")
 _NUMBERS = (("fx", "fl_x"), ("fy", "fl_y"), ("cx",), ("cy",))
 _BENT = ("distortion_coefficients", "distortion", "D")  # of ROS and OpenCV; others name each one
@@ -30,12 +30,12 @@ class Camera(NamedTuple):
     pose: np.ndarray | None = None
 
     def at_size(self, size: tuple[int, int], depth_size: tuple[int, int]) -> np.ndarray:
-        """Return the intrinsics ``(3, 3)`` of a picture of ``size``, which has a depth map of ``depth_size``.
+        """Return the intrinsics ``(3, 3)`` of a picture of ``size`` with a depth map of ``depth_size`` [px].
 
         Where no size is stated, the principal point says which of the two the intrinsics describe.
 
         Raises:
-            ValueError: they describe neither, or may describe both.
+            ValueError: they may describe both or neither, have another aspect, or are those of no camera.
         """
         described = self.size or self._described(size, depth_size)
         if not same_aspect(described, size):

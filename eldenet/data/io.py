@@ -228,12 +228,14 @@ def decode_depth(raw: np.ndarray, encoding: Encoding, source: object) -> np.ndar
 
 
 def _suggest(raw: np.ndarray) -> str:
+    """Name the encodings that numbers of this type may have."""
     names = [r.name for r in ENCODINGS.values() if (r.dtype == "float") == (raw.dtype.kind == "f")]
     names = [n for n in names if ENCODINGS[n].dtype in ("float", str(raw.dtype))]
     return f"for {raw.dtype} give {', '.join([*names, '{scale, offset, dtype}'])}"
 
 
 def _decode(path: Path, flags: int) -> np.ndarray:
+    """The pixels of a whole picture, as ``cv2.imdecode`` gives them with ``flags`` (BGR)."""
     content = read_bytes(path)
     check = next((check for magic, check in FORMATS if content.startswith(magic)), None)
     if (check is None and not is_heif(content)) or is_raw_photo(content):

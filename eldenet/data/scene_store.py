@@ -141,7 +141,10 @@ def render_missing(
 
 
 def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable[[int], None]) -> None:
-    """Plain subprocesses: safe after torch is loaded, and the caller's script needs no ``__main__`` guard."""
+    """Run a worker for each job; call ``advance`` with the frames of each rendered scene.
+
+    Plain subprocesses are safe after torch is loaded, and the caller's script needs no ``__main__`` guard.
+    """
     package = str(Path(__file__).resolve().parents[2])
     paths = [package, *filter(None, [os.environ.get("PYTHONPATH")])]
     env = {
@@ -185,7 +188,7 @@ def _render_in_processes(jobs: Sequence[Mapping[str, object]], advance: Callable
 
 
 def _work() -> None:
-    """Render the scenes of the job on stdin; print a line after every scene."""
+    """Render the scenes of the job on stdin; after each, print how many frames it has."""
     job = json.load(sys.stdin)
     scenes, generator = job["scenes"], Generator(**job["generator"])
     size = (job["size"][0], job["size"][1])
