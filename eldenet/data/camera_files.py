@@ -102,7 +102,7 @@ def camera_of(record: Any, source: object) -> Camera:
     Distortion is not undone: a line says so.
 
     Raises:
-        ValueError: it states none, or that of a fisheye lens; names ``source``.
+        ValueError: it states none, or no numbers, or that of a fisheye lens; names ``source``.
     """
     record = record if isinstance(record, Mapping) else {}
     if "FISHEYE" in str(record.get("camera_model", "")):
@@ -118,7 +118,8 @@ def camera_of(record: Any, source: object) -> Camera:
     if stored is None:
         stored = [_first(record, names) for names in _NUMBERS]
     sides = [_first(sized, names) for names in _SIDES]
-    size = None if None in sides else (int(sides[0]), int(sides[1]))
+    with reading(source, "camera with width and height"):
+        size = None if None in sides else (int(sides[0]), int(sides[1]))
     if bends := _distortion(sized):
         warn_once(
             f"the camera's calibration states distortion ({bends}), which is not undone: give rectified "

@@ -365,6 +365,7 @@ def test_a_calibration_that_opencv_wrote(tmp_path: Path) -> None:
         ("pose.txt", "0.8 0.6 0 1\n-0.6 0.8 0 2\n0 0.1 0.9 3\n0 0 0 1\n"),
         ("k.json", '{"fx": 60}'),
         ("k.json", "[1, 2]"),
+        ("k.json", '{"fx": 60, "fy": 61, "cx": 31, "cy": 24, "w": [64], "h": 48}'),
         ("k.txt", "no camera"),
         ("k.txt", "0 61 31 24"),
         ("k.yaml", "camera_matrix: ["),
