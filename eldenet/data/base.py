@@ -81,9 +81,8 @@ class DepthDataset(Dataset[DepthSample]):
         ValueError: there are no frames, or an argument is out of its range.
     """
 
-    ground_truth = (
-        "raw"  # kind of depth, which a protocol must accept: raw, inpainted, dense, sparse, improved
-    )
+    # kind of depth, which a protocol must accept: raw, inpainted, dense, sparse, improved
+    ground_truth = "raw"
     depth_range: tuple[float | None, float | None] = (None, None)  # usual min_depth and max_depth [m]
     frame_lists: tuple[str, ...] = ("names",)  # the lists that hold one entry per frame
     make_sample: MakeSample | None = None  # set by with_samples
