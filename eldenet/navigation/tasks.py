@@ -7,7 +7,7 @@ import numpy as np
 
 from eldenet.simulation.arenas import (
     KINDS,
-    MOST_OBSTACLES,
+    MAX_DENSITY,
     Arena,
     clearance_map,
     draw_start_and_goal,
@@ -52,10 +52,10 @@ class TrainingArenas:
     def __post_init__(self) -> None:
         one_of("kind", self.kind, tuple(KINDS))
         low, high = self.densities
-        if not 0 <= low <= high <= MOST_OBSTACLES or self.repeats < 1 or not 0 <= self.dense_share <= 1:
+        if not 0 <= low <= high <= MAX_DENSITY or self.repeats < 1 or not 0 <= self.dense_share <= 1:
             raise ValueError(
                 f"densities={(low, high)}, dense_share={self.dense_share}, repeats={self.repeats}: give "
-                f"0 <= least <= greatest <= {MOST_OBSTACLES} obstacles, a share from 0 to 1 and at least 1 "
+                f"0 <= least <= greatest <= {MAX_DENSITY} obstacles, a share from 0 to 1 and at least 1 "
                 "episode"
             )
         self._arena: Arena | None = None

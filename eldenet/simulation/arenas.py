@@ -39,7 +39,7 @@ KINDS: dict[str, tuple[Callable[[Draw], Walls], tuple[int, ...]]] = {
     "maze": (draw_maze, (4,)),
     "corridor": (draw_corridor, (5,)),
 }
-MOST_OBSTACLES = 120  # beside the walls
+MAX_DENSITY = 120  # standing obstacles beside the walls
 RESOLUTION = 0.1  # of the grid on which the goal must be reachable [m]
 INFLATION = 0.45  # robot's circumscribed radius 0.39 and a margin [m]
 START_CLEARANCE, GOAL_CLEARANCE = 1.0, 0.8  # [m]
@@ -88,7 +88,7 @@ def generate_arena(
 
     Args:
         split: "train", "val" or "test".
-        density: number of standing obstacles, 0 to :data:`MOST_OBSTACLES`.
+        density: number of standing obstacles, 0 to :data:`MAX_DENSITY`.
         index: from 0.
         pedestrians: number of walking people.
         min_distance: from start to goal, as the crow flies [m]; in traps it is always 10 m or more, in mazes
@@ -103,7 +103,7 @@ def generate_arena(
     one_of("split", split, SPLITS)
     one_of("arena.kind", kind, KINDS)
     for name, value, most in (
-        ("density", density, MOST_OBSTACLES),
+        ("density", density, MAX_DENSITY),
         ("pedestrians", pedestrians, 40),
         ("min_distance", min_distance, SIDE),
     ):
