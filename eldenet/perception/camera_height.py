@@ -62,8 +62,8 @@ def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Res
     log, known_pitch = RunLog(folder), s["camera_pitch"] is not None
     predictor = DepthPredictor(start, device=resources.device, steady=False)
     pitch = math.radians(s["camera_pitch"]) if known_pitch else None
-    mount = Mount(level_camera(s["intrinsics"], pitch), s["camera_height"], known_pitch)
-    names, log_scales, shown, thumbnails = measure_floors(source, predictor, mount, s["frames"], log)
+    view = FloorView(level_camera(s["intrinsics"], pitch), s["camera_height"], known_pitch)
+    names, log_scales, shown, thumbnails = measure_floors(source, predictor, view, s["frames"], log)
     refuse_few(log_scales)
     held, fitted = hold_out_floors(log_scales, s["seed"])
     refuse_copies([thumbnails[i] for i in held], [thumbnails[i] for i in fitted])
@@ -96,7 +96,7 @@ def calibrate(s: Mapping[str, Any], source: Source, folder: Path, resources: Res
     return record_change(folder, log, start, model, changes, s["weights"], facts)
 
 
-class Mount(NamedTuple):
+class FloorView(NamedTuple):
     """The camera, its height above the floor [m], and whether its pitch is given: then its frame is level."""
 
     camera: PinholeCamera
@@ -105,10 +105,10 @@ class Mount(NamedTuple):
 
 
 def measure_floors(
-    source: Source, predictor: DepthPredictor, mount: Mount, most: int, log: RunLog
+    source: Source, predictor: DepthPredictor, view: FloorView, most: int, log: RunLog
 ) -> tuple[list[str], np.ndarray, list[tuple[np.ndarray, np.ndarray]], list[np.ndarray]]:
     """Return names, log scales ``(N,)``, ``SHOWN`` photos with depth [m], and all thumbnails."""
-    camera = mount.camera
+    camera = view.camera
     predict = for_camera(predictor, camera.intrinsics)
     names: list[str] = []
     log_scales: list[float] = []
@@ -121,7 +121,7 @@ def measure_floors(
             depth = predict(photo)
             names.append(name)
             thumbnails.append(thumbnail(photo))
-            log_scales.append(log_scale(depth, camera, mount.height, known_pitch=mount.known_pitch))
+            log_scales.append(log_scale(depth, camera, view.height, known_pitch=view.known_pitch))
             if len(names) % max(1, total // SHOWN) == 0 and len(shown) < SHOWN:
                 size = panel_size(photo)
                 shown.append((resize_image(photo, size), enlarged(depth, size)))
