@@ -62,7 +62,7 @@ def run_episodes(
     """Run one episode in every arena; the results are in the order of the arenas.
 
     Args:
-        arenas: in their order they also number the episodes, for the seeds.
+        arenas: their places in this order are part of the seeds.
         make_policy: number of robots -> policy.
         sensor: of every robot.
         settings: of the episodes. No outcome depends on the other arenas.

@@ -36,7 +36,7 @@ class Predictive:
     driven until then off the nearest range.
 
     Args:
-        driver: one that knows ``Senses.scanned_from``, as all here that look.
+        driver: one that heeds ``Senses.scanned_from``, as all here do but ``Straight``, which sees nothing.
         latency: from a scan until its command takes effect [s].
         robots: number of robots.
     """

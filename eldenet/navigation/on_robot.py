@@ -101,7 +101,7 @@ class OnRobot:
 
         At the goal, with input that is not finite or cannot be true, or where :attr:`watch` finds a fault, it
         stops the robot and says why in :attr:`stop_reason`; it drives on as soon as that is over. The driver
-        remembers nothing of such a period, unless the fault is that it finds no way.
+        remembers nothing of such a period, unless the fault is that it gets nowhere.
 
         Args:
             depth: depth map ``(H, W)`` [m], with ``intrinsics``; or a lidar's

@@ -1,6 +1,7 @@
 """Interface of all sensors, the simulator's own ranges, and wheel odometry.
 
-A :class:`Sensor` starts a :class:`SensorInstance` for each episode, which returns :class:`SensorScan`s.
+A :class:`Sensor` starts a :class:`SensorInstance` for each episode, which returns a
+:class:`SensorScan` each time.
 :mod:`eldenet.navigation.noisy_ranges` adds a network's errors to the ranges,
 :mod:`eldenet.navigation.cameras` runs the networks themselves.
 """

@@ -35,7 +35,7 @@ def stacked(frames: Iterable[Sequence[np.ndarray]]) -> Views:
 class Shares(TypedDict, total=False):
     """What a data set may show more of."""
 
-    near: float  # share of frames of what is close, their median depth is 0.3 to 1.2 m
+    near: float  # share of frames of what is close: at a median depth of 0.3 to 1.2 m
     down: float  # share of frames that look down at the floor and what stands on it
     plain: float  # share of rooms whose surfaces have no pattern
 

@@ -41,7 +41,7 @@ class Pilot:
         camera_roll: about that axis, clockwise as it looks [rad].
         max_speed: a faster command is slowed down, with its turn rate [m/s].
         latency: from the odometry until the robot executes the command [s].
-        stale: distance of a stamp from the clock from which data stop the robot [s].
+        stale: data whose stamp is as far from the clock, or farther, stop the robot [s].
 
     Raises:
         ValueError: an argument is out of range.
