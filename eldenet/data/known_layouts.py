@@ -43,9 +43,8 @@ def _is_raw(folder: Path) -> bool:
 
 
 def _is_depth_devkit(folder: Path) -> bool:
-    places = (
-        f"{base}{part}*_sync/proj_depth" for base in ("", "data_depth_*/") for part in ("train/", "val/", "")
-    )
+    parts = ("train/", "val/", "")
+    places = (f"{base}{part}*_sync/proj_depth" for base in ("", "data_depth_*/") for part in parts)
     return any(next(folder.glob(place), None) is not None for place in places)
 
 

@@ -26,9 +26,8 @@ class ResizeCrop:
     anchor: str = "center"  # of the crop: "center", or "bottom" for the lowest rows, centered horizontally
     size: Sequence[int] | None = None  # (height, width) of a last resize, after the crop [px]
     sparse: bool = False  # depth is single points: a resize keeps each one, the nearest if several meet
-    keep_depth: bool = (
-        False  # box and crop cut the image alone: its prediction is pasted into the whole frame
-    )
+    # box and crop cut the image alone: its prediction is pasted into the whole frame
+    keep_depth: bool = False
 
     def __call__(self, frame: Frame, generator: np.random.Generator | None = None) -> Frame:
         """Transform one frame; nothing here is random.

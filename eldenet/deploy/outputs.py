@@ -89,7 +89,8 @@ class Results:
     def begin(self) -> None:
         """Note the settings until :meth:`end`.
 
-        Without settings, or with ``overwrite``, forget an earlier note: results of other settings mix then.
+        Without settings, or with ``overwrite``, forget an earlier note: the folder may then hold results of
+        other settings too.
         """
         if self.settings is not None and not self.overwrite:
             write_text(self.folder / UNFINISHED, json.dumps(self.settings))
