@@ -65,7 +65,6 @@ def test_workers_share_one_copy(tmp_path: Path) -> None:
     assert data.reads() == frames + 1
 
 
-@pytest.mark.slow
 def test_no_worker_outlives_its_loader(tmp_path: Path) -> None:
     data = SyntheticDepth(6)
     model = ConstantPredictor(torch.full((1, 1, 32, 48), 4.0))

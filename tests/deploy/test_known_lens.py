@@ -46,7 +46,6 @@ def path(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return exported(folder, tmp_path_factory.mktemp("files") / "m.onnx")
 
 
-@pytest.mark.slow
 def test_the_file_takes_pictures_alone_and_answers_in_meters(model: DepthNet, path: Path) -> None:
     assert read_metadata(path)["units"] == "meters"
     for runtime in ("onnxruntime", "openvino"):
@@ -89,7 +88,6 @@ def test_int8_files_of_one_lens_stay_near(
     assert np.abs(network(images.numpy()) / expected - 1).mean() < 0.05
 
 
-@pytest.mark.slow
 def test_the_lens_is_that_of_the_whole_width(path: Path) -> None:
     predictor = DepthPredictor(runtimes.load(path, threads=1), steady=False)
     wide, bordered = photo(36, 96), np.full((48, 96, 3), BORDER_COLOR, np.uint8)
