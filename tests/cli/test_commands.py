@@ -143,7 +143,6 @@ def test_a_shell_completes_commands_settings_and_paths(shell, tmp_path):
     assert [[word.rstrip("/") for word in line] for line in words] == list(typed.values())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shell", SHELLS)
 def test_completion_runs_and_expands_no_name_of_a_file(shell, tmp_path):
     names = ["a$(touch run)", "b`touch run`", "c${IFS}d", "e;touch run", "f\nline", "g'x\" *", "h$HOME"]

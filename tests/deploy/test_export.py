@@ -28,8 +28,6 @@ from eldenet.uncertainty import DepthEstimate
 pytest.importorskip("onnxruntime")
 pytest.importorskip("openvino")
 SIZE = (32, 64)
-DEEPER = {"resnet152_upconv", "senet154_upconv"}  # than another of the same parts
-FAMILIES = sorted(set(eldenet.list_models()) - DEEPER)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +60,7 @@ def image_of(photos: Path) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", eldenet.list_models())
 def test_every_family_exports_and_agrees_with_torch(name: str, tmp_path: Path) -> None:
     torch.manual_seed(0)
     model = eldenet.load(name)
