@@ -5,6 +5,7 @@ import shlex
 import tomllib
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
@@ -240,3 +241,15 @@ def test_security_states_the_limits_of_the_code():
         *(f"{files.DEEPEST} levels", f"{checks.LARGEST_SIDE:,} px"),
     ):
         assert f"| {amount}" in limits, amount
+
+
+def test_new_names_of_moved_modules_exist():
+    rows = re.findall(
+        r"^\| `eldenet\.[^|]+\|([^|]+)\|$", (REPOSITORY / "CHANGELOG.md").read_text(), re.MULTILINE
+    )
+    assert len(rows) > 10
+    for row in rows:
+        parent = ""
+        for name in re.findall(r"`([\w.]+)", row):
+            parent, _, last = (name if "." in name else f"{parent}.{name}").rpartition(".")
+            resolve_name(f"{parent}.{last}")

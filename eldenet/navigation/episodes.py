@@ -16,15 +16,20 @@ from eldenet.navigation.localization import Localizer
 from eldenet.navigation.observer import Senses
 from eldenet.navigation.range_filter import RangeFilter
 from eldenet.navigation.range_scale import RangeScale
-from eldenet.navigation.sensors import LATENCY_STEP, Odometry, Sensor, SensorInstance, SensorScan
+from eldenet.navigation.sensors import (
+    LATENCY_STEP,
+    SUBSTEPS,
+    Odometry,
+    Sensor,
+    SensorInstance,
+    SensorScan,
+)
 from eldenet.simulation.arena_mjcf import FRICTION
 from eldenet.simulation.arena_world import PHYSICS, ArenaWorld
 from eldenet.simulation.arenas import Arena
 from eldenet.simulation.robot import ROBOT
 from eldenet.system.checks import one_of
 
-#: Parts of a control period: a command may take effect at each start, contact is checked by each end.
-SUBSTEPS = round(ROBOT.period / LATENCY_STEP)
 GOAL_RADIUS = 0.5  # [m]
 TIME_LIMIT = 60.0  # [s]
 GOALS = ("known", "fixes", "odometry")

@@ -21,7 +21,9 @@ from eldenet.simulation.arena_world import ArenaWorld
 from eldenet.simulation.robot import ALL_ROUND, ROBOT, front
 
 FED_BY = ("simulator", "depth", "box")
-LATENCY_STEP = 0.1  # commands take effect at multiples of it [s]
+#: Parts of a control period: a command may take effect at each start, contact is checked by each end.
+SUBSTEPS = 2
+LATENCY_STEP = ROBOT.period / SUBSTEPS  # [s]
 FULL_VIEW = round(math.degrees(ROBOT.field_of_view), 1)  # [degrees]
 BURST = 5  # scans in a row that are lost, in the mean
 
